@@ -10,7 +10,7 @@ from steelnb.core.errors import InputError
 from steelnb.core.types import Array, IntArray, Segments
 from steelnb.fusion.adjustment.problem import Bars
 from steelnb.fusion.candidates import TUBE_M, find_bars, merge_pieces
-from steelnb.fusion.joints import find_joints, trim_bends
+from steelnb.fusion.joints import TILT_DETERMINED_RAD, find_joints, trim_bends
 from steelnb.fusion.mapped_scans import MappedScans
 from steelnb.fusion.sections.choose import fit_sections
 from steelnb.fusion.sections.histogram import HISTOGRAM, accumulate
@@ -19,9 +19,6 @@ from steelnb.fusion.structure import Structure
 
 END_TUBES = 1.2
 """Points within this many tube radii of the ends of a bar take no part in the fit of its section."""
-TILT_DETERMINED_RAD = 0.02
-"""A bar whose direction has a larger standard deviation keeps its axis when its section is fitted, and finally runs
-from joint to joint."""
 
 
 @dataclass(frozen=True)

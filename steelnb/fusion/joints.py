@@ -11,12 +11,13 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from steelnb.core.types import Array, IntArray, Segments
-from steelnb.fusion.structure import Structure
 
 BEND_MIN, BEND_MAX = math.cos(math.radians(1.5)), math.cos(math.radians(10))
 """Cosines of the angles between bars that meet at a bend. Below 1.5° its position is undetermined."""
 SLACK_M, REACH_M, LEAD_MAX_M, SAME_M, BEND_M, BEND_GAP_M = 0.02, 0.2, 0.8, 0.15, 1.2, 0.1
 """See `find_joints` and `trim_bends`."""
+TILT_DETERMINED_RAD = 0.02
+"""A bar whose direction has a larger standard deviation finally runs from joint to joint."""
 ANCHOR = 0.01
 """Weight of an initial position relative to a line's: almost parallel lines do not determine a nearest point."""
 
@@ -65,19 +66,19 @@ def find_joints(bars: Segments, width_m: Array) -> tuple[Array, IntArray, Segmen
     return joint[remaining], tie, _extended(bars, joint[remaining], tie, lead)
 
 
-def between_joints(structure: Structure, weak: NDArray[np.bool_]) -> Segments:
-    """The bars of a structure, with the axes of ``weak (B,)`` ones through the first and last joint that tie them.
+def between_joints(bars: Segments, joint: Array, tie: IntArray, weak: NDArray[np.bool_]) -> Segments:
+    """The bars, with the axes of ``weak (B,)`` ones through the first and last of the joints ``(J, 3)`` that tie them
+    (``tie (T, 2)``: joint, bar).
 
     The points of a short strut determine its direction to a few degrees only, while its joints lie on the axes of
     longer bars. A bar keeps its axis if its joints do not lie within `SAME_M` of both its ends.
     """
-    bars = structure.segments
     start, end = bars.start.copy(), bars.end.copy()
     for bar in np.flatnonzero(weak):
-        joint = structure.joint[structure.tie[structure.tie[:, 1] == bar, 0]]
-        along = (joint - bars.start[bar]) @ bars.direction[bar]
-        if len(joint) >= 2 and along.min() <= SAME_M and along.max() >= bars.length[bar] - SAME_M:
-            start[bar], end[bar] = joint[along.argmin()], joint[along.argmax()]
+        tied = joint[tie[tie[:, 1] == bar, 0]]
+        along = (tied - bars.start[bar]) @ bars.direction[bar]
+        if len(tied) >= 2 and along.min() <= SAME_M and along.max() >= bars.length[bar] - SAME_M:
+            start[bar], end[bar] = tied[along.argmin()], tied[along.argmax()]
     return replace(bars, start=start, end=end)
 
 

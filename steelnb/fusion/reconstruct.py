@@ -74,4 +74,6 @@ def reconstruct(
     if not len(fitted.tilt):
         return Structure.empty("no bar has enough points to determine its direction")
     structure = fitted.tied()
-    return replace(structure, segments=between_joints(structure, fitted.is_weak))
+    return replace(
+        structure, segments=between_joints(structure.segments, structure.joint, structure.tie, fitted.is_weak)
+    )

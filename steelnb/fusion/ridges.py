@@ -12,22 +12,44 @@ from steelnb.points.voxel_kernels import find, hash_table, offsets_within
 
 
 def ridge_points(
-    voxels: VoxelMap, radius_m: float, share_min: float, contract_m: float, hidden: NDArray[np.bool_] | None = None
+    voxels: VoxelMap,
+    radius_m: float,
+    share_min: float,
+    contract_m: float,
+    hidden: NDArray[np.bool_] | None = None,
+    sum_m: float = 0.0,
 ) -> Array:
     """Points on ridges ``(R, 3)``, metres, in the frame of the map.
 
     Range noise spreads the points of a bar along the rays, into voxels of little weight. So a voxel is kept if it
     has at least ``share_min`` of the largest weight within ``radius_m``. Its mean is then moved, once, to the weighted
     mean of the kept voxels within ``contract_m``. Voxels in the mask ``hidden (V,)`` are ignored.
+
+    ``sum_m``: radius in which weights are summed first. In sparse clouds, and in those thinned by a voxel filter, most
+    voxels have one point, so that only their neighbours tell a bar from the noise around it.
     """
     key, mean, weight, voxel_m = voxels.keys(), voxels.means(), voxels.weights(), voxels.voxel_m
     if hidden is not None:
         weight[hidden] = 0.0
     table = hash_table(key, len(key))
+    if sum_m > 0.0:
+        weight = _summed(key, weight, offsets_within(sum_m, voxel_m), *table)
     is_ridge = _ridge(key, weight, offsets_within(radius_m, voxel_m), share_min, *table)
     remaining = np.where(is_ridge, weight, 0.0)
     around = offsets_within(contract_m + math.sqrt(3) * voxel_m, voxel_m)
     return np.asarray(_contract(key, mean, remaining, around, contract_m, *table)[is_ridge])
+
+
+@njit(cache=True, nogil=True)
+def _summed(centre, weight, around, key, slot):  # type: ignore[no-untyped-def]
+    """Sum of the weights of the voxels around each voxel."""
+    total = np.zeros(len(weight))
+    for n in range(len(centre)):
+        for k in range(len(around)):
+            other = find(centre[n] + around[k], key, slot)
+            if other >= 0:
+                total[n] += weight[other]
+    return total
 
 
 @njit(cache=True, nogil=True)

@@ -35,11 +35,15 @@ class Structure:
         return len(self.segments)
 
     @staticmethod
+    def of(bars: Segments, reason: str = "") -> "Structure":
+        """Bars without joints, of unknown width and accuracy, each observed once."""
+        unknown = np.full(len(bars), np.nan)
+        ones = np.ones(len(bars), dtype=np.int64)
+        return Structure(bars, unknown, ones, unknown, np.zeros((0, 3)), np.zeros((0, 2), np.int64), reason)
+
+    @staticmethod
     def empty(reason: str = "") -> "Structure":
-        none = np.zeros(0)
-        return Structure(
-            Segments.empty(), none, np.zeros(0, np.int64), none, np.zeros((0, 3)), np.zeros((0, 2), np.int64), reason
-        )
+        return Structure.of(Segments.empty(), reason)
 
     def moved(self, by: Array) -> "Structure":
         """The structure translated by ``by (3,)``, metres."""

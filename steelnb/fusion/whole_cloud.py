@@ -1,11 +1,14 @@
 """The bars of a merged cloud, without scans and poses: lines on ridges of its density, surfaces left out."""
 
+import itertools
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from steelnb.core.robust import geman_mcclure
 from steelnb.core.types import Array, IntArray, Segments
 from steelnb.fusion.candidates import (
     CONTRACT_M,
@@ -19,9 +22,10 @@ from steelnb.fusion.candidates import (
     is_held,
     merge_pieces,
 )
-from steelnb.fusion.joints import REACH_M, find_joints
+from steelnb.fusion.joints import REACH_M, TILT_DETERMINED_RAD, between_joints, find_joints
 from steelnb.fusion.ridges import ridge_points
 from steelnb.hough.alternatives.refine import nearest_bar
+from steelnb.hough.lines import DX_PER_SPACING, spacing
 from steelnb.hough.whole_structure.search import MIN_VOTES
 from steelnb.points import VoxelMap, voxel_grid
 from steelnb.points.surfaces import Surface, Surfaces
@@ -30,6 +34,8 @@ CELL, CELL_VOXELS = 2.5, 1.5
 """Edge of the cells in which surfaces are sought, in multiples of the default voxel, and its minimum in voxels."""
 RISE_M = 0.2
 """See `merge_pieces`."""
+SUM_VOXELS = 1.8
+"""See ``sum_m`` in `ridge_points`."""
 FREE_MIN = 0.6
 """Minimum freedom of a bar. On a surface it is about a third."""
 SLICE_M, REACH = 0.1, 3.0
@@ -38,6 +44,17 @@ SURE_M = 0.8
 """A bar that is shorter than this needs a bar at each end: where a flight has seen half of a member, it lies askew."""
 HALF_WIDTH_SHARE = 0.9
 """Share of a bar's points that lie within half its width of its axis."""
+FIT_TUBES, FIT_MIN, FIT_ROUNDS, FIT_SCALE = 1.5, 8, 3, 1.5
+"""See `refitted`: distance of points in tube radii, their minimum number, rounds of weights, and the scale of these in
+median distances."""
+TUBES_MIN = 40
+"""Minimum size of a cloud in tubes: the bars of a small model are thinner than those of a tower."""
+WIDER, WIDTH_MAX = (2, 4), 3.0
+"""Wider tubes that are tried, in default tubes, and maximum median width of the bars in a tube, in its radii. Medians
+of the towers ``tapered`` and ``slender`` are up to 2.5."""
+OFF_MIN = 0.05
+"""If fewer points than this share lie on no surface, the cloud is one of surfaces."""
+TURN_MAX_RAD = math.radians(20)
 
 
 @dataclass(frozen=True)
@@ -46,7 +63,7 @@ class CloudBars:
 
     ``freedom (B,)``: share of the points around a bar that lie on it, 0 to 1 (`freedom_of`); ``width_m (B,)``;
     ``surfaces``, largest first; ``surface (N,)``: number of the surface that each point of the cloud lies on, or −1;
-    ``voxel_m``: edge of the voxels in which the points were accumulated.
+    ``voxel_m``: edge of the voxels in which the points were accumulated; ``tube_m``: radius of the tubes.
     """
 
     bars: Segments
@@ -55,64 +72,154 @@ class CloudBars:
     surfaces: list[Surface]
     surface: IntArray
     voxel_m: float
+    tube_m: float
 
     def take(self, index: IntArray) -> "CloudBars":
         """The same with some bars, in this order."""
         return replace(self, bars=self.bars.take(index), freedom=self.freedom[index], width_m=self.width_m[index])
 
+    @property
+    def fit_tubes(self) -> bool:
+        """Whether there are bars, most of them so narrow that lines along their sides were not taken for them."""
+        return len(self.bars) > 0 and float(np.median(self.width_m)) <= WIDTH_MAX * self.tube_m
+
+    @property
+    def all_on_surfaces(self) -> bool:
+        """Whether less than `OFF_MIN` of the points lie on no surface."""
+        return float((self.surface < 0).mean()) < OFF_MIN
+
+    def scaled(self, scale: float) -> "CloudBars":
+        """The same with all lengths multiplied."""
+        bars = replace(
+            self.bars, start=scale * self.bars.start, end=scale * self.bars.end, radius=scale * self.bars.radius
+        )
+        surfaces = [surface.scaled(scale) for surface in self.surfaces]
+        voxel_m, tube_m = scale * self.voxel_m, scale * self.tube_m
+        return replace(self, bars=bars, width_m=scale * self.width_m, surfaces=surfaces, voxel_m=voxel_m, tube_m=tube_m)
+
 
 def bars_of_cloud(
-    points: Array, tube_m: float = TUBE_M, voxel_m: float | None = None, min_votes: int = MIN_VOTES
+    points: Array, tube_m: float | None = None, voxel_m: float | None = None, min_votes: int = MIN_VOTES
 ) -> CloudBars:
     """Find the bars of a cloud ``(N, 3)``, metres, z up, finite.
 
     Points are accumulated in voxels of edge ``voxel_m``, by default two thirds of the tube, and only voxels on ridges
     of their weight remain: range noise spreads the rest. `Surfaces` of these are left out. Lines through what remains
-    are split at bends, extended to their joints and merged (`fusion.candidates`, `fusion.joints`). A bar stands free
-    (`freedom_of`), and if it is short, its ends meet other bars.
+    are split at bends, refitted to all points, extended to their joints and merged (`fusion.candidates`,
+    `fusion.joints`). A bar stands free (`freedom_of`), and if it is short, its ends meet other bars.
 
-    ``tube_m``: radius of the tube that holds a bar's points. The lengths of the search grow with it; those of bends,
-    joints and merging are fixed.
+    ``tube_m``: radius of the tube that holds a bar's points. All lengths of the search are proportional to it. By
+    default, it is that of `default_tube`; if the bars do not fit in it, twice and four times that are tried.
     ``min_votes``: minimum number of ridge voxels of a bar.
     """
-    scale = tube_m / TUBE_M
-    voxel_m = voxel_m or scale * VOXEL_M
+    narrow_m = tube_m or max(default_tube(points), (voxel_m or 0.0) * TUBE_M / VOXEL_M)
+    tries = (_bars_at_scale(points, each * narrow_m / TUBE_M, voxel_m, min_votes) for each in (1, *WIDER))
+    found = next(tries)
+    if tube_m is None and not found.fit_tubes and not found.all_on_surfaces:
+        found = next((each for each in tries if each.fit_tubes), found)
+    return found
+
+
+def default_tube(points: Array) -> float:
+    """Default radius of the tube of a bar, metres: 6 cm, or more for sparse clouds; at most a fortieth of the diagonal.
+
+    Sparse clouds have 1.2 times the median distance of the points ``(N, 3)`` to their fourth nearest neighbours. In a
+    cloud that was thinned by a voxel filter, this distance is the edge of the voxels, while nearest neighbours may be
+    close together on both sides of a boundary.
+    """
+    diagonal_m = float(np.linalg.norm(np.ptp(points, axis=0)))
+    return min(max(TUBE_M, DX_PER_SPACING * spacing(points, 4)), diagonal_m / TUBES_MIN)
+
+
+def _bars_at_scale(points: Array, scale: float, voxel_m: float | None, min_votes: int) -> CloudBars:
+    """`bars_of_cloud` with tubes of this many times `TUBE_M`."""
+    found = _bars_in_tubes(points / scale, voxel_m / scale if voxel_m else VOXEL_M, min_votes)
+    return found if scale == 1.0 else found.scaled(scale)
+
+
+def _bars_in_tubes(points: Array, voxel_m: float, min_votes: int) -> CloudBars:
+    """`bars_of_cloud` with tubes of `TUBE_M`."""
     voxels = VoxelMap(voxel_m)
     voxels.insert(points)
-    ridge = ridge_points(voxels, scale * RIDGE_RADIUS_M, RIDGE_SHARE, scale * CONTRACT_M)
-    ridge = voxel_grid(ridge, tube_m / math.sqrt(3))
-    surfaces = Surfaces.found_in(ridge, max(CELL * scale * VOXEL_M, CELL_VOXELS * voxel_m))
+    ridge = ridge_points(voxels, RIDGE_RADIUS_M, RIDGE_SHARE, CONTRACT_M, sum_m=SUM_VOXELS * voxel_m)
+    ridge = voxel_grid(ridge, TUBE_M / math.sqrt(3))
+    surfaces = Surfaces.found_in(ridge, max(CELL * VOXEL_M, CELL_VOXELS * voxel_m))
     free = ridge[surfaces.label_of(ridge) < 0]
     label = surfaces.label_of(points)
     off, bars = points[label < 0], Segments.empty()
-    if len(free) >= min_votes and np.linalg.norm(np.ptp(free, axis=0)) > 2 * scale * LENGTH_MIN_M:
-        bars = bars_on_ridges(free, tube_m, min_votes, GRIDS, RISE_M)
-        # Points at a joint belong to one of its bars, so the others have gaps there.
-        width_m = widths_of(off, bars, tube_m)
-        bars = merge_pieces(find_joints(bars, width_m)[2], width_m, RISE_M)
-    width_m = widths_of(off, bars, tube_m)
-    freedom = freedom_of(ridge, bars, width_m, tube_m)
-    long = bars.length >= scale * SURE_M
-    sure = (freedom >= FREE_MIN) & (long | _held_by_others(bars, scale * REACH_M, tube_m))
-    return CloudBars(bars.take(sure), freedom[sure], width_m[sure], surfaces.described(label), label, voxel_m)
+    if len(free) >= min_votes and np.linalg.norm(np.ptp(free, axis=0)) > 2 * LENGTH_MIN_M:
+        bars = _tied(bars_on_ridges(free, TUBE_M, min_votes, GRIDS, RISE_M), off)
+        bars, is_weak = refitted(off, bars)
+        bars = _tied(bars, off, is_weak)
+    width_m = widths_of(off, bars)
+    freedom = freedom_of(ridge, bars, width_m)
+    sure = (freedom >= FREE_MIN) & ((bars.length >= SURE_M) | _held_by_others(bars))
+    return CloudBars(bars.take(sure), freedom[sure], width_m[sure], surfaces.described(label), label, voxel_m, TUBE_M)
 
 
-def widths_of(points: Array, bars: Segments, tube_m: float) -> Array:
+def _tied(bars: Segments, points: Array, is_weak: NDArray[np.bool_] | None = None) -> Segments:
+    """The bars, extended to their joints and merged: points at a joint belong to one bar, so the others have gaps
+    there. The axes of those in the mask ``is_weak (B,)`` run from joint to joint."""
+    width_m = widths_of(points, bars)
+    joint, tie, tied = find_joints(bars, width_m)
+    if is_weak is not None:
+        tied = between_joints(tied, joint, tie, is_weak)
+    return merge_pieces(tied, width_m, RISE_M)
+
+
+def refitted(points: Array, bars: Segments) -> tuple[Segments, NDArray[np.bool_]]:
+    """The bars, each along the principal axis of the ``points (N, 3)`` that are nearest to it, and a mask ``(B,)`` of
+    those whose points do not determine their direction.
+
+    Contracted voxels give the direction of a short bar to some ten degrees only, its points to a few. Points have
+    Geman-McClure weights, since some of them lie on bars that were not found. A bar is extended to those past its ends,
+    up to a tube's radius. One that would turn by more than `TURN_MAX_RAD` keeps its axis.
+    """
+    start, end, is_weak = bars.start.copy(), bars.end.copy(), np.ones(len(bars), dtype=bool)
+    for bar, own in enumerate(_own_points(points, bars, FIT_TUBES * TUBE_M, TUBE_M)):
+        if len(own) < FIT_MIN:
+            continue
+        weight = np.ones(len(own))
+        for _ in range(FIT_ROUNDS):
+            mean = weight @ own / weight.sum()
+            offset = own - mean
+            value, vector = np.linalg.eigh((weight[:, None] * offset).T @ offset / weight.sum())
+            axis = vector[:, 2]
+            squared = ((offset - (offset @ axis)[:, None] * axis) ** 2).sum(axis=1)
+            weight, _ = geman_mcclure(squared, max(FIT_SCALE * math.sqrt(np.median(squared)), 1e-6))
+        axis = axis * np.sign(axis @ bars.direction[bar])
+        if axis @ bars.direction[bar] < math.cos(TURN_MAX_RAD):
+            continue
+        along = offset @ axis
+        low, high = ((each[bar] - mean) @ axis for each in (bars.start, bars.end))
+        start[bar], end[bar] = mean + min(low, along.min()) * axis, mean + max(high, along.max()) * axis
+        tilt = math.sqrt(0.5 * max(value[0] + value[1], 0.0) / max(value[2] * len(own), 1e-12))
+        is_weak[bar] = tilt > TILT_DETERMINED_RAD
+    return replace(bars, start=start, end=end), is_weak
+
+
+def _own_points(points: Array, bars: Segments, distance_m: float, margin_m: float = 0.0) -> Iterator[Array]:
+    """For each bar, the points ``(K, 3)`` within this distance of its axis that are nearer to it than to others. An
+    axis extends ``margin_m`` past the ends of its bar."""
+    nearest = nearest_bar(points, bars, distance_m, margin_m)
+    order = np.argsort(nearest, kind="stable")
+    for first, last in itertools.pairwise(np.searchsorted(nearest[order], np.arange(len(bars) + 1))):
+        yield points[order[first:last]]
+
+
+def widths_of(points: Array, bars: Segments, tube_m: float = TUBE_M) -> Array:
     """Width ``(B,)`` of each bar, metres: twice the distance from its axis within which `HALF_WIDTH_SHARE` of its
     points lie. These are the ``points (N, 3)`` that are nearest to its axis and within two tube radii of it."""
-    nearest = nearest_bar(points, bars, 2 * tube_m, 0.0)
     width_m = np.full(len(bars), 2 * tube_m)
-    order = np.argsort(nearest, kind="stable")
-    first = np.searchsorted(nearest[order], np.arange(len(bars) + 1))
-    for bar in range(len(bars)):
-        own = points[order[first[bar] : first[bar + 1]]] - bars.start[bar]
+    for bar, own in enumerate(_own_points(points, bars, 2 * tube_m)):
         if len(own):
-            across = own - (own @ bars.direction[bar])[:, None] * bars.direction[bar]
+            offset = own - bars.start[bar]
+            across = offset - (offset @ bars.direction[bar])[:, None] * bars.direction[bar]
             width_m[bar] = 2 * np.quantile(np.linalg.norm(across, axis=1), HALF_WIDTH_SHARE)
     return width_m
 
 
-def freedom_of(points: Array, bars: Segments, width_m: Array, tube_m: float) -> Array:
+def freedom_of(points: Array, bars: Segments, width_m: Array, tube_m: float = TUBE_M) -> Array:
     """How free each bar stands ``(B,)``: the share of the ``points (N, 3)`` within `REACH` half-widths of its axis that
     lie within one, as the median over slices along it. Points on other bars do not count."""
     half_m = np.maximum(0.5 * width_m, tube_m)
@@ -133,10 +240,10 @@ def freedom_of(points: Array, bars: Segments, width_m: Array, tube_m: float) -> 
     return freedom
 
 
-def _held_by_others(bars: Segments, reach_m: float, tube_m: float) -> NDArray[np.bool_]:
+def _held_by_others(bars: Segments) -> NDArray[np.bool_]:
     """`is_held` of each bar by all others ``(B,)``."""
     number = np.arange(len(bars))
     held = [
-        is_held(bars.take(number == k), bars.take(number != k), reach_m, 0.5 * tube_m, 1.5 * tube_m) for k in number
+        is_held(bars.take(number == k), bars.take(number != k), REACH_M, 0.5 * TUBE_M, 1.5 * TUBE_M) for k in number
     ]
     return np.array(held, dtype=bool).reshape(len(bars))

@@ -85,10 +85,11 @@ def default_dx(points: Array) -> float:
     return min(max(DX_PER_SPACING * spacing(points), DX_MIN_M), float(np.linalg.norm(high - low)) / 2)
 
 
-def spacing(points: Array) -> float:
-    """Median distance of at most `SAMPLE` of the points ``(N, 3)`` to their nearest neighbours, metres."""
+def spacing(points: Array, neighbour: int = 1) -> float:
+    """Median distance of at most `SAMPLE` of the points ``(N, 3)`` to their nearest neighbours, or to the second
+    nearest, and so on; metres."""
     sample = points[np.linspace(0, len(points) - 1, min(len(points), SAMPLE)).astype(int)]
-    return float(np.median(cKDTree(points).query(sample, k=min(2, len(points)))[0][:, -1]))
+    return float(np.median(cKDTree(points).query(sample, k=min(1 + neighbour, len(points)))[0][:, -1]))
 
 
 def distinct_points(points: Array) -> tuple[Array, Array, Array]:

@@ -22,6 +22,9 @@ from steelnb.settings import TofSettings
 from steelnb.simulation.tower import Tower
 from steelnb.simulation.truth import SLICE_M, Visibility
 
+STRAIGHT_SINE = math.sin(math.radians(1.5))
+"""Maximum sine of the angle between members that are one bar; beyond, `steelnb.fusion.joints` finds a bend."""
+
 
 @dataclass(frozen=True)
 class Reference:
@@ -37,6 +40,26 @@ class Reference:
     slices: tuple[NDArray[np.bool_], ...]
     observed: NDArray[np.bool_]
     joint_observed: NDArray[np.bool_]
+
+    def joined(self) -> "Reference":
+        """The same with members that continue each other in a straight line as one, as a cloud shows them. It is
+        observed if one of them is."""
+        members = list(zip(self.axes, self.along, self.slices, self.observed.tolist(), strict=True))
+        joint = 0
+        while joint < len(self.joints):
+            ends = [k for k, (_, along, _, _) in enumerate(members) if joint in (along[0], along[-1])]
+            for a, b in itertools.combinations(ends, 2):
+                one = members[a] if members[a][1][-1] == joint else _reversed(members[a])
+                other = members[b] if members[b][1][0] == joint else _reversed(members[b])
+                if _in_line(one[0], other[0]):
+                    axis, along = np.stack([one[0][0], other[0][1]]), one[1] + other[1][1:]
+                    members[a] = axis, along, np.concatenate([one[2], other[2]]), one[3] or other[3]
+                    del members[b]
+                    break
+            else:
+                joint += 1
+        axes, alongs, slices, observed = zip(*members, strict=True)
+        return Reference(np.array(axes), self.joints, alongs, slices, np.array(observed), self.joint_observed)
 
 
 @dataclass(frozen=True)
@@ -176,6 +199,22 @@ def _pair_points(points: Array, others: Array) -> tuple[IntArray, Array]:
             partner[i], is_paired[j] = j, True
             error.append(distance)
     return partner, np.array(error)
+
+
+_Member = tuple[Array, tuple[int, ...], NDArray[np.bool_], bool]
+"""Axis, joints, slices, and whether it was observed."""
+
+
+def _reversed(member: _Member) -> _Member:
+    axis, along, slices, observed = member
+    return axis[::-1], along[::-1], slices[::-1], observed
+
+
+def _in_line(axis: Array, next_axis: Array) -> bool:
+    """Whether a member runs on in the direction of another one that ends where it begins."""
+    one, other = axis[1] - axis[0], next_axis[1] - next_axis[0]
+    sine = np.linalg.norm(np.cross(one, other)) / max(float(np.linalg.norm(one) * np.linalg.norm(other)), 1e-12)
+    return bool(one @ other > 0 and sine < STRAIGHT_SINE and np.linalg.norm(next_axis[0] - axis[1]) < DISTANCE_MAX_M)
 
 
 def _slices_between(slice_count: int, low: float, high: float) -> NDArray[np.bool_]:

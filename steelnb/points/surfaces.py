@@ -1,7 +1,7 @@
 """Surfaces of a cloud: ground, walls, decks and roofs, where points cover a plane over much more than a bar's width."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numba import njit
@@ -45,6 +45,10 @@ class Surface:
     def is_level(self) -> bool:
         """Whether it slopes by less than `LEVEL_RAD`."""
         return abs(float(self.normal[2])) > math.cos(LEVEL_RAD)
+
+    def scaled(self, scale: float) -> "Surface":
+        """The same with all lengths multiplied."""
+        return replace(self, centre=scale * self.centre, area_m2=scale**2 * self.area_m2, rms_m=scale * self.rms_m)
 
 
 @dataclass(frozen=True)

@@ -9,9 +9,8 @@ import numpy as np
 from steelnb.core.errors import InputError
 from steelnb.core.files import new_folder
 from steelnb.core.types import Array, Segments
-from steelnb.fusion.candidates import TUBE_M
 from steelnb.fusion.whole_cloud import CloudBars, bars_of_cloud
-from steelnb.hough.lines import DX_PER_SPACING, spacing
+from steelnb.hough.lines import spacing
 from steelnb.hough.whole_structure.search import MIN_VOTES, within
 from steelnb.io.clouds import Cloud, read_cloud
 from steelnb.io.structures import write_segments
@@ -20,8 +19,6 @@ from steelnb.plots.scene3d import figure_cloud
 from steelnb.points import voxel_grid
 from steelnb.points.surfaces import Surface
 
-TUBES_MIN = 40
-"""Minimum size of a cloud in tubes: the bars of a small model are thinner than those of a tower."""
 SURFACES_SHOWN = 5
 VOXELS_FEW = 10
 """If voxels leave fewer points than this many bars need, the message blames the voxels."""
@@ -64,7 +61,7 @@ def segment_file(
     with ``scene``, also the interactive ``segments.html``.
 
     Ground, walls and other surfaces are recognised and left out (`steelnb.fusion.whole_cloud`). ``dx_m`` is the radius
-    of the tube that holds a bar's points (default: `default_tube`), ``voxel_m`` the edge of the voxel filter (default:
+    of the tube that holds a bar's points (default: `bars_of_cloud`), ``voxel_m`` the edge of the voxel filter (default:
     two thirds of dx). ``min_votes`` is the minimum number of voxels of a bar, and the minimum by which those in its
     tube exceed those around it.
 
@@ -79,10 +76,9 @@ def segment_file(
         _check_length("voxel_m", voxel_m, cloud)
         _check_length("dx_m", dx_m, cloud)
         apart_m = spacing(cloud.points)
-        dx = dx_m or max(default_tube(cloud.points, apart_m), 1.5 * (voxel_m or 0.0))
-        found = bars_of_cloud(cloud.points, dx, voxel_m, min_votes)
+        found = bars_of_cloud(cloud.points, dx_m, voxel_m, min_votes)
         found = found.take(np.argsort(-found.bars.length, kind="stable"))
-        bars, off = found.bars, found.surface < 0
+        bars, off, dx = found.bars, found.surface < 0, found.tube_m
         explained = float(within(cloud.points[off], bars, dx).mean()) if off.any() else 0.0
         segments = bars.moved(cloud.origin)
         columns = {"width_m": found.width_m.round(3), "freedom": found.freedom.round(2)}
@@ -118,13 +114,6 @@ def segment_file(
     )
 
 
-def default_tube(points: Array, apart_m: float) -> float:
-    """Default radius of the tube of a bar, metres: 6 cm, or 1.2 times the spacing ``apart_m`` of the points if that is
-    more; at most a fortieth of the cloud's diagonal."""
-    diagonal_m = float(np.linalg.norm(np.ptp(points, axis=0)))
-    return min(max(TUBE_M, DX_PER_SPACING * apart_m), diagonal_m / TUBES_MIN)
-
-
 def _surface_lines(surfaces: list[Surface]) -> list[str]:
     """One line for each of the largest surfaces, and one for how many more there are."""
     lines = [f"surface   {_name(each)}, {each.area_m2:.0f} m²: {each.points} points left out" for each in surfaces]
@@ -144,7 +133,7 @@ def _warnings(found: CloudBars, explained: float, points: Array, min_votes: int)
     if not len(found.bars):
         left = len(voxel_grid(points, found.voxel_m))
         why = "the points on no surface do not lie along lines"
-        if off < 0.05 * len(points):
+        if found.all_on_surfaces:
             why = "all points lie on surfaces"
         elif left < VOXELS_FEW * min_votes:
             why = f"voxels of {found.voxel_m:.3g} m leave {left} of {len(points)} points, and a bar needs {min_votes}"

@@ -6,6 +6,7 @@ import pytest
 from steelnb.core.types import Segments
 from steelnb.fusion.whole_cloud import bars_of_cloud, freedom_of, widths_of
 from steelnb.metrics.segments import match_members
+from steelnb.points import voxel_grid
 from tests.lattice import lattice, scanned
 from tests.points.test_surfaces import sheet
 
@@ -31,6 +32,30 @@ def sheets() -> dict[str, np.ndarray]:
 @pytest.mark.parametrize("name", list(sheets()))
 def test_surfaces_have_no_bars_and_scattered_points_few(name):
     assert len(bars_of_cloud(sheets()[name]).bars) <= (3 if name == "ball" else 0)
+
+
+@pytest.mark.parametrize("radius_m", [0.05, 0.1, 0.2])
+def test_upright_cylinders_of_any_width_are_bars(radius_m):
+    rng = np.random.default_rng(3)
+    points = [sheet(12.0, 12.0, per_m2=1500) - [3.0, 3.0, 0.0]]
+    for x, y in [(0.0, 0.0), (3.0, 0.0), (0.0, 3.0), (3.0, 3.0)]:
+        turn = rng.uniform(0, 2 * np.pi, int(2 * np.pi * radius_m * 8 * 2000))
+        circle = radius_m * np.column_stack([np.cos(turn), np.sin(turn)]) + [x, y]
+        points.append(np.column_stack([circle, rng.uniform(0, 8, len(turn))]))
+    found = bars_of_cloud(np.concatenate(points) + rng.normal(scale=0.01, size=(len(np.concatenate(points)), 3)))
+    assert len(found.bars) == 4
+    assert found.bars.length.min() > 7
+    assert found.width_m == pytest.approx(np.full(4, 2 * radius_m), abs=0.05)
+
+
+@pytest.mark.parametrize("voxel_m", [0.04, 0.1])
+def test_a_cloud_that_was_thinned_by_a_voxel_filter_has_the_same_bars(voxel_m):
+    points = np.concatenate([scanned(TOWER, 1500, 0.08, 0.01), sheet(10.0, 10.0) - [5.0, 5.0, 0.0]])
+    found = bars_of_cloud(voxel_grid(points, voxel_m))
+    match = match_members(found.bars, TOWER)
+    assert match.right.mean() >= 0.95
+    assert len(np.unique(match.member[match.right])) >= 0.9 * len(TOWER)
+    assert len(found.surfaces) == 1
 
 
 @pytest.mark.parametrize("beside", ["nothing", "ground", "wall"])

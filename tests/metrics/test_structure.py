@@ -107,5 +107,18 @@ def test_the_centroid_of_a_thin_angle_is_a_quarter_of_its_flange_from_either_fac
     assert np.linalg.norm(found.joints - tower.joints, axis=1).max() < 0.1
 
 
+def test_members_in_line_are_one_bar_of_the_reference_whichever_way_they_run():
+    joints = np.array([[0, 0, 0], [1, 0, 0], [2, 0, 0], [1, 1, 0], [1, -1, 0], [3, 0.2, 0]], dtype=float)
+    along = ((0, 1), (2, 1), (3, 1), (1, 4), (2, 5))
+    parts = tuple(np.full(20, k == 0) for k in range(5))
+    found = Reference(joints[np.array(along)], joints, along, parts, np.arange(5) == 0, np.ones(6, bool)).joined()
+    ends = {tuple(sorted((each[0], each[-1]))) for each in found.along}
+    assert ends == {(0, 2), (3, 4), (2, 5)}
+    long = next(k for k, each in enumerate(found.along) if 0 in each)
+    assert found.observed.tolist() == [k == long for k in range(3)]
+    assert found.slices[long].sum() == 20
+    assert len(found.slices[long]) == 40
+
+
 def lengths(tower):
     return np.linalg.norm(tower.axes[:, 1] - tower.axes[:, 0], axis=1)

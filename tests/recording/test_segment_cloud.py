@@ -115,9 +115,9 @@ def test_large_coordinates_come_back_to_the_millimetre(saved: Path, report: Segm
 
 
 def test_the_settings_are_used(saved: Path, tmp_path: Path) -> None:
-    found = segment_file(saved, tmp_path / "out", voxel_m=0.05, dx_m=0.2, min_votes=30)
-    assert (found.voxel_m, found.dx_m) == (0.05, 0.2)
-    assert found.segments.count.min() >= 30
+    found = segment_file(saved, tmp_path / "out", voxel_m=0.05, dx_m=0.1, min_votes=20)
+    assert (found.voxel_m, found.dx_m) == (0.05, 0.1)
+    assert found.segments.count.min() >= 20
     assert segment_file(saved, tmp_path / "out", voxel_m=0.2).dx_m == pytest.approx(1.5 * 0.2)
 
 
