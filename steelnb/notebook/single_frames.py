@@ -1,8 +1,9 @@
 """Segmentation methods on single frames: views of a tower, trials of a method on them, and their tables."""
 
+import itertools
 import math
 import time
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,7 @@ from steelnb.core import rng
 from steelnb.core.files import reading
 from steelnb.core.types import Array, Segments
 from steelnb.hough.alternatives.methods import find_bars_by
+from steelnb.hough.lines import default_dx
 from steelnb.metrics import SeenMembers, SegmentScore, score_segments, seen_members
 from steelnb.settings import FlightSettings, TofSettings, TowerSettings
 from steelnb.simulation import build_tower
@@ -27,6 +29,8 @@ TRIAL_COLUMNS = ("scene", "noise_m", "clutter", "kept", "method")
 MEASURES = ["recall", "precision", "duplicates", "angle_deg", "offset_m"]
 ANGLE_MAX_RAD = math.radians(10)
 """Maximum angle of a right segment. Noise of 2 cm alone turns a bar of 30 cm with 30 points by 3° (1 sigma)."""
+RECALL_MIN = 0.05
+"""Below this recall, precision would rest on one or two segments."""
 LEAN_SIGMA_RAD = math.radians(2)
 Options = Mapping[str, Mapping[str, Any]]
 """Method → its options."""
@@ -121,6 +125,35 @@ def trial_table(trials: Iterable[Trial]) -> pd.DataFrame:
     means = groups[["points", "bars", "segments", "recall", "precision", "duplicates"]].mean()
     of_all = rows.explode(errors).astype(dict.fromkeys(errors, float)).groupby(by, sort=False)[errors].median()
     return groups.size().to_frame("frames").join([means, of_all]).reset_index()
+
+
+def by_condition(table: pd.DataFrame) -> pd.DataFrame:
+    """Means of `MEASURES` over the seeds of a `trial_table`, for each condition that varies alone: one row for each
+    ``condition``, its ``level`` and method. Precision is NaN where recall is below `RECALL_MIN`."""
+    usual = pd.Series(USUAL)
+    cases = table.groupby([*USUAL, "method"], sort=False)[MEASURES].mean().reset_index()
+    cases["precision"] = cases["precision"].where(cases["recall"] >= RECALL_MIN)
+    alone = []
+    for name in USUAL:
+        fixed = usual.drop(name)
+        rows = cases[(cases[fixed.index] == fixed).all(axis=1)]
+        alone.append(rows.assign(condition=name, level=rows[name]))
+    return pd.concat(alone)
+
+
+def tuning_table(frames: Sequence[FrameScene], dx_m: Sequence[float], min_votes: Sequence[int]) -> pd.DataFrame:
+    """Recall and precision of the Hough transform in each frame with each ``dx`` and minimum number of votes.
+
+    Beside the given ``dx_m``, ``dx (cm)`` names the default of `detect_segments` and that of the reference program.
+    """
+    rows = []
+    for frame in frames:
+        widths = {f"{100 * width:g}": width for width in dx_m} | {"from\npoints": default_dx(frame.points)}
+        widths["diag.\n/ 64"] = float(np.linalg.norm(np.ptp(frame.points, axis=0))) / 64
+        for votes, (name, width) in itertools.product(min_votes, widths.items()):
+            score = attempt("hough", frame, points_min=votes, dx=width).score
+            rows.append({"votes": votes, "dx (cm)": name, "recall": score.recall, "precision": score.precision})
+    return pd.DataFrame(rows).fillna({"precision": 0.0})  # of no segment at all
 
 
 def trial_timing(trials: Iterable[Trial]) -> pd.DataFrame:

@@ -1,5 +1,6 @@
 """Bars of merged clouds of whole towers: clouds, what may be done to them, and trials of the methods."""
 
+import itertools
 import time
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -16,6 +17,7 @@ from steelnb.hough.alternatives.methods import find_bars_by
 from steelnb.hough.lines import default_dx
 from steelnb.hough.whole_structure.search import segment_structure
 from steelnb.metrics.structure import Reference, reference, score_structure
+from steelnb.notebook.single_frames import Options
 from steelnb.points import preprocess_scan, voxel_grid
 from steelnb.settings import ExperimentSettings, TowerSettings
 from steelnb.simulation.truth import SLICE_M
@@ -55,7 +57,8 @@ CONDITIONS: dict[str, Callable[[Array, np.random.Generator], Array]] = {
     "a sixteenth": lambda points, rng: points[: len(points) // 16],
 }
 """What may be done to a cloud in random order: points and a generator → points. Noise is added to all coordinates."""
-METHODS = ("steelnb segment", "blocks", "hough", "ransac-lines", "dbscan", "gmm")
+CLOUD_MEASURES = ["recall", "precision", "duplicates", "length", "offset_m"]
+CLOUD_METHODS = ("steelnb segment", "blocks", "hough", "ransac-lines", "dbscan", "gmm")
 """`bars_of_cloud`; `segment_structure`, on which it builds; and methods of `hough.alternatives`."""
 
 
@@ -75,7 +78,7 @@ def merged_cloud(tower: str, seed: int, duration_s: float, sensor: str = "starli
 
 
 def find_bars_in(method: str, points: Array, seed: int, **options: Any) -> Segments:
-    """The bars of a cloud ``(N, 3)`` by one of `METHODS`, each with the defaults of its user."""
+    """The bars of a cloud ``(N, 3)`` by one of `CLOUD_METHODS`, each with the defaults of its user."""
     if method == "steelnb segment":
         return bars_of_cloud(points).bars
     dx = default_dx(points)
@@ -107,10 +110,14 @@ def cloud_trial(
 
 def cloud_trials(
     tower: str, seed: int, duration_s: float, conditions: Sequence[str] = tuple(CONDITIONS),
-    methods: Sequence[str] = METHODS[:1], **options: Any,
+    methods: Sequence[str] = CLOUD_METHODS[:1], options: Options | None = None,
 ) -> pd.DataFrame:  # fmt: skip
-    """Rows of one cloud: the first method under all conditions, the others as the cloud is."""
+    """Rows of one cloud: the first method under all conditions, the others with and without ground.
+
+    ``options`` maps methods to their own ones.
+    """
     cloud, truth = merged_cloud(tower, seed, duration_s)
-    cases = [(methods[0], each) for each in conditions] + [(each, conditions[0]) for each in methods[1:]]
-    rows = [cloud_trial(method, each, cloud, truth, seed, **options.get(method, {})) for method, each in cases]
+    cases = [(methods[0], each) for each in conditions] + list(itertools.product(methods[1:], conditions[:2]))
+    chosen = options or {}
+    rows = [cloud_trial(method, each, cloud, truth, seed, **chosen.get(method, {})) for method, each in cases]
     return pd.DataFrame(rows).assign(tower=tower)
