@@ -7,8 +7,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from steelnb.core.types import Array, Flight, Imu, Scan, Trajectory
-from steelnb.io.bag_reader import CAMERA, CLOUD, IMAGE, ODOMETRY, POSE_STAMPED, TF, typestore
 from steelnb.io.bag_writer import Messages
+from steelnb.io.containers import typestore
+from steelnb.io.messages import CAMERA, CLOUD, IMAGE, ODOMETRY, POSE_STAMPED, TF
 
 KINDS = ("a.bag", "a.mcap", "a.db3")
 STAMPS = np.round(0.2 * np.arange(5), 9)
