@@ -94,12 +94,11 @@ def _is_of_world(tree: Tree, world: str, frames: tuple[str, ...]) -> bool:
     Raises `InputError` if it leads on to something else that moves.
     """
     if world not in frames:
-        return False
+        return tree.moves(frames) and frames[-1] in tree.above(frames[0])
     beyond = list(frames[frames.index(world) :])
     if tree.moves(beyond) and beyond[-1] not in tree.above(world):
-        raise InputError(
-            f"poses are of {frames[0]}, but {frames[-1]} does not move with it; expected poses of its drone"
-        )
+        other = f"--poses '{world}>{beyond[1]}'"
+        raise InputError(f"poses are of {frames[0]}, but {frames[-1]} moves without it; expected its own ({other})")
     return True
 
 
@@ -107,6 +106,8 @@ def _source(tree: Tree, body: str, name: str, placed: Placement, is_world: bool)
     """Where the mount comes from, in words."""
     if is_world:
         return f"points are in {name}, brought back to {body} by the poses: identity"
+    if len(placed.frames) == 1:
+        return f"scans are in the drone's frame {body}"
     if placed.moves:
         return f"tf {body} → {name} moves: points are given where it is at the first scan"
     return f"{'tf_static' if tree.is_static(placed.frames) else 'tf'} {body} → {name}"

@@ -150,16 +150,16 @@ def _scan(stamp_s: float, decode: Callable[[], Array]) -> Scan:
         points = decode()
     except InputError as fault:  # a damaged message or file only loses one scan
         return Scan(stamp_s, np.zeros((0, 3)), f"unreadable scan: {fault}")
-    with np.errstate(invalid="ignore"):
+    x, y, z = np.moveaxis(points, -1, 0)
+    lost = (x == 0) & (y == 0) & (z == 0)
+    if max(np.fmax.reduce(points, axis=None, initial=0), -np.fmin.reduce(points, axis=None, initial=0)) > FAR_M:
         far = (np.abs(points) > FAR_M).any(axis=-1)
-    zero = (points == 0).all(axis=-1)
-    lost = zero | far
+        if far.sum() > np.isfinite(points).all(axis=-1).sum() / 2:
+            return Scan(stamp_s, np.zeros((0, 3)), f"unreadable scan: {far.sum()} points beyond {FAR_M:g} m")
+        lost |= far
     if lost.any():
         points = np.where(lost[..., None], np.nan, points)
-    left = int(np.isfinite(points).all(axis=-1).sum())
-    if far.any() and int(far.sum()) >= left:
-        return Scan(stamp_s, np.zeros((0, 3)), f"unreadable scan: {int(far.sum())} points beyond {FAR_M:g} m")
-    if not left:
+    if not np.isfinite(points).any():
         return Scan(stamp_s, np.zeros((0, 3)), "no finite point")
     return Scan(stamp_s, points)
 

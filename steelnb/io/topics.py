@@ -7,6 +7,7 @@ from typing import NamedTuple
 from steelnb.core.errors import InputError
 from steelnb.io import messages as ros
 from steelnb.io.containers import Container
+from steelnb.io.layouts import DEPTHS
 
 SCANS = "clouds (PointCloud2 or depth images)"
 
@@ -47,7 +48,7 @@ def depth_images(bag: Container, name: str | None) -> tuple[list[str], list[Inpu
             faults.append(fault)
             continue
         is_grey = encoding == "mono16" and "depth" not in topic.lower()  # images in the infrared are mono16, too
-        if topic == name or (encoding in ros.DEPTHS and not is_grey):
+        if topic == name or (encoding in DEPTHS and not is_grey):
             found.append(topic)
     return found, faults
 

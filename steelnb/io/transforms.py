@@ -105,7 +105,8 @@ class Tree:
         self.move_still(keys)
         moving = [edge.path.stamp_s for key in keys if (edge := self.edges[key]).moves and edge.path is not None]
         if not moving:
-            raise InputError(f"no poses of {body or 'a frame'} in {world or 'another'} on tf")
+            listed = ", ".join(sorted(self.frames)) or "none"
+            raise InputError(f"no poses of {body!r} in {world!r} on tf; expected two of its frames: {listed}")
         found = self.place(world, body, max(moving, key=len))
         assert found is not None
         if not found.known.any():

@@ -6,7 +6,7 @@ import pytest
 from steelnb.core.errors import InputError
 from steelnb.io import read_flight, write_tum
 from steelnb.io.frames import T_OPTICAL_SENSOR
-from steelnb.io.messages import CLOUD, ODOMETRY, POSE_STAMPED
+from steelnb.io.messages import CLOUD, ODOMETRY, PATH, POSE_COVARIANCE, POSE_STAMPED, TRANSFORM
 from tests.io.samples import KINDS, POINTS, STAMPS, Bagged, T_of, made_up, ns, poses
 
 MOUNT, SHIFT = T_of((0.1, 0.2, 0.3), (0.1, -0.2, 0.3)), T_of((1, 2, 3))
@@ -17,7 +17,7 @@ def bag(request, tmp_path):
     return Bagged(tmp_path / request.param)
 
 
-@pytest.mark.parametrize("kind", [ODOMETRY, POSE_STAMPED])
+@pytest.mark.parametrize("kind", [ODOMETRY, POSE_STAMPED, POSE_COVARIANCE, TRANSFORM, PATH])
 def test_scans_and_poses_are_found_by_type(bag, kind):
     flight = read_flight(bag.clouds().odometry(kind=kind).write())
     np.testing.assert_array_equal(flight.prior.stamp_s, STAMPS)
