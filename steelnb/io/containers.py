@@ -26,7 +26,7 @@ FORMS = {
     "": ("a ROS 2 folder with .db3 or .mcap files", ""),
 }
 """What a file of messages is, and what repairs it."""
-GAP_MAX_S, OVERLAP_MAX_S = 60.0, 1.0
+GAP_MAX_S, OVERLAP_MAX_S = 60.0, 0.5
 """Parts of one recording follow each other; farther apart, they are several recordings."""
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 

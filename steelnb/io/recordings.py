@@ -59,9 +59,7 @@ def read_flight(
     if not path.is_dir() and not is_bag(path):
         raise InputError(f"{path}: ending {path.suffix!r}; expected .bag, .mcap, .db3 or a folder")
     if clock not in CLOCKS or not np.isfinite(time_offset_s):
-        raise InputError(
-            f"clock {clock!r}, offset {time_offset_s} s; expected one of {', '.join(CLOCKS)}, finite seconds"
-        )
+        raise InputError(f"clock {clock!r} with {time_offset_s} s; expected {' or '.join(CLOCKS)}, and finite seconds")
     opened: _Parts
     if is_bag(path):
         opened = open_bag(path, scans, poses, T_drone_sensor, Clock(clock == "bag", time_offset_s))
