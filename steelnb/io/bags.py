@@ -79,7 +79,7 @@ class _Bag:
         lost = ["what is whole is read"] if self.bag.notes else []
         notes = [*self.bag.notes, *lost, *self.headers.notes, *frames.notes]
         facts |= {"notes": "; ".join(notes)} if notes else {}
-        imu = self._imu(imus[0], tree, body) if imus else None
+        imu = self._imu(imus[0], tree, body) if imus and imus[0] in self.headers.frame_of else None
         walk = partial(self._walk, topic, camera, frames)
         return OpenedBag(frames.stamp_s, walk, prior, frames.T_drone_sensor, facts, imu, self.headers.skipped)
 
@@ -135,7 +135,8 @@ class _Bag:
         rows = self.headers.rows(topic, 6, "inertial sample")
         rows = rows[np.isfinite(rows).all(axis=1)]
         rows = rows[rising_stamps(rows[:, 0])]
-        place = tree.place(body, tree.resolve(self.headers.frame_of[topic][0]), rows[:1, 0])
+        first_s = rows[:1, 0] if len(rows) else np.zeros(1)
+        place = tree.place(body, tree.resolve(self.headers.frame_of[topic][0]), first_s)
         T_drone_imu = np.eye(4) if place is None else drone_axes(body).T @ place.T_target_source[0]
         R_drone_imu = T_drone_imu[:3, :3]
         return Imu(rows[:, 0], rows[:, 1:4] @ R_drone_imu.T, rows[:, 4:] @ R_drone_imu.T)

@@ -28,7 +28,7 @@ FORMS = {
 """What a file of messages is, and what repairs it."""
 GAP_MAX_S, OVERLAP_MAX_S = 60.0, 0.5
 """Parts of one recording follow each other; farther apart, they are several recordings."""
-ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
+ZSTD, ZSTD_MAGIC = ".zstd", b"\x28\xb5\x2f\xfd"
 
 
 class LostIndexError(Exception):
@@ -50,10 +50,11 @@ def typestore(ros: int) -> Any:
 def is_bag(path: Path) -> bool:
     """Whether a path looks like a bag: a file by its suffix, a folder by its metadata or by parts without clouds."""
     if not path.is_dir():
-        return path.suffix.lower() in SUFFIXES
-    suffixes = {file.suffix.lower() for file in path.glob("[!.]*")}
-    is_parts = not suffixes.isdisjoint(SUFFIXES) and suffixes.isdisjoint({*READERS} - {".txt", ".csv"})
-    return is_parts or (path / "metadata.yaml").is_file()
+        return path.name.lower().removesuffix(ZSTD).endswith(SUFFIXES)
+    if (path / "metadata.yaml").is_file():
+        return True
+    files = [file for file in path.glob("[!.]*") if not file.is_dir()]
+    return any(map(is_bag, files)) and {file.suffix.lower() for file in files}.isdisjoint({*READERS} - {".txt", ".csv"})
 
 
 def bags_in(folder: Path) -> list[str]:
@@ -61,7 +62,7 @@ def bags_in(folder: Path) -> list[str]:
     here = sorted(folder.glob("[!.]*"))
     if any(file.suffix.lower() in READERS for file in here):
         return []
-    return [each.name for each in here if is_bag(each) and (each.is_dir() or each.is_file())]
+    return [each.name for each in here if is_bag(each)]
 
 
 class Container:
@@ -86,6 +87,8 @@ class Container:
     def _files(self) -> list[Path]:
         """The files of a recording; a folder with compressed files is left to the library, which unpacks them."""
         if not self.path.is_dir():
+            if self.path.suffix.lower() == ZSTD:
+                raise InputError(f"{self.path}: is compressed; expected it unpacked (`unzstd {self.path.name}`)")
             return [self.path]
         metadata, here = self.path / "metadata.yaml", sorted(self.path.glob("[!.]*"))
         listed = re.findall(r"^\s*- +['\"]?([^'\"\n]+\.(?:db3|mcap)(?:\.zstd)?)['\"]?\s*$", _text_of(metadata), re.M)
@@ -95,7 +98,7 @@ class Container:
             self.notes[f"{metadata.name} names {', '.join(missing)}, which is missing"] = None
         found = [file for file in here if file.name in names]
         found = found or [file for file in here if file.suffix.lower() in SUFFIXES]
-        packed = [file.name for file in found or here if file.suffix == ".zstd"]
+        packed = [file.name for file in found or here if file.suffix.lower() == ZSTD]
         if packed and (missing or not names):
             raise InputError(f"{self.path}: {packed[0]} is compressed; expected it unpacked (`unzstd {packed[0]}`)")
         return [self.path] if packed else found

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from steelnb.core.errors import InputError
 from steelnb.core.types import Array
-from steelnb.io.transforms import Placement, Tree
+from steelnb.io.transforms import Placement, Tree, is_world_name
 
 T_OPTICAL_SENSOR = np.array([[0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1.0]])
 """Rotation from x forward, y left, z up to optical axes: z forward, x right, y down (REP 103)."""
@@ -68,6 +68,11 @@ def sensor_frames(
         raise InputError(f"scans in frames {', '.join(seen)}: one mount does not hold for all; expected tf_static")
     way = tree.between(world, body) if world else None
     chain = [*(way or filter(None, (world, body)))]
+    if main not in placed and mount is None and is_world_name(main):
+        raise InputError(
+            f"scans are in {main!r}, a frame of the world, which nothing relates to {body!r}; expected scans in the "
+            "frame of the sensor, or --mount if they are"
+        )
     if main not in placed:
         known[frame == main] = True
         T_mount, source = np.eye(4), f"no tf_static from {body} to {main or 'the sensor'}: identity assumed"

@@ -7,6 +7,7 @@ whole is read here. The formats are those of mcap.dev/spec and wiki.ros.org/Bags
 import sqlite3
 import struct
 from collections.abc import Callable, Iterator
+from contextlib import closing, suppress
 from io import BytesIO
 from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
@@ -32,15 +33,14 @@ def scan(path: Path, on_damage: OnDamage) -> Iterator[Raw]:
     """
     with path.open("rb") as file:
         begin = file.read(16)
-        if begin.startswith(SQLITE_MAGIC):
-            yield from _sqlite(path, on_damage)
-            return
-        reader = {MCAP_MAGIC: _mcap, BAG_MAGIC: _bag}.get(begin[: 13 if begin[:1] == b"#" else 8])
-        if reader is None:
+        found = [read for magic, read in _READERS.items() if begin.startswith(magic[:16])]
+        if not found:
             on_damage(f"begins with {begin[:12]!r}" if begin else "is empty")
             return
-        file.seek(13 if reader is _bag else 8)
-        yield from reader(file, on_damage)
+        try:
+            yield from found[0](file, on_damage)
+        except Exception:  # of a size, a name or a text that is damaged, or of a library
+            on_damage(f"is cut short or damaged at byte {file.tell()}")
 
 
 def _left(file: BinaryIO) -> int:
@@ -118,18 +118,13 @@ def _mcap(file: BinaryIO, on_damage: OnDamage) -> Iterator[Raw]:
             on_damage("has a damaged chunk") if is_whole else None
         yield from sorted(found, key=lambda raw: raw.log_ns)
 
-    begin = file.tell()
-    try:
+    file.seek(len(MCAP_MAGIC))
+    with suppress(Exception):  # told below
         # A summary at the end repeats what a damaged chunk may have held.
         for kind, body in records(file, chunks=False):
             learn(kind, body)
-    except (EOFError, struct.error, UnicodeDecodeError):
-        pass  # told below
-    file.seek(begin)
-    try:
-        yield from messages(file)
-    except (EOFError, struct.error, UnicodeDecodeError):
-        on_damage(f"is cut short or damaged at byte {file.tell()}")
+    file.seek(len(MCAP_MAGIC))
+    yield from messages(file)
 
 
 def _bag(file: BinaryIO, on_damage: OnDamage) -> Iterator[Raw]:
@@ -171,28 +166,26 @@ def _bag(file: BinaryIO, on_damage: OnDamage) -> Iterator[Raw]:
             on_damage("has a damaged chunk")
         yield from found
 
-    try:
-        yield from messages(file)
-    except (EOFError, struct.error, KeyError, UnicodeDecodeError):
-        on_damage(f"is cut short or damaged at byte {file.tell()}")
+    file.seek(len(BAG_MAGIC))
+    yield from messages(file)
 
 
-def _sqlite(path: Path, on_damage: OnDamage) -> Iterator[Raw]:
+def _sqlite(file: BinaryIO, on_damage: OnDamage) -> Iterator[Raw]:
     """Messages of a sqlite file in the order in which they were written, without its index of times."""
-    database = sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro&immutable=1", uri=True)
-    try:
+    path = Path(file.name).resolve()
+    file.seek(0, 2)
+    with closing(sqlite3.connect(f"{path.as_uri()}?mode=ro&immutable=1", uri=True)) as database:
         database.execute("PRAGMA writable_schema = ON")  # else a file with fewer pages than stated is not opened
         query = "SELECT id, name, type, serialization_format FROM topics"
         topics = {row[0]: (row[1], ros_type(row[2]), row[3]) for row in database.execute(query)}
         for topic, log_ns, data in database.execute("SELECT topic_id, timestamp, data FROM messages NOT INDEXED"):
-            if topic in topics and isinstance(data, bytes):
+            if topic in topics and isinstance(data, bytes) and isinstance(log_ns, int):
                 yield Raw(log_ns, *topics[topic], data)
-    except sqlite3.Error as fault:
-        on_damage(f"is cut short or damaged ({fault})")
-    finally:
-        database.close()
 
 
 def ros_type(name: str) -> str:
     """Name of a type as in ROS 2: sensor_msgs/msg/Imu for sensor_msgs/Imu."""
     return name if name.count("/") != 1 else name.replace("/", "/msg/")
+
+
+_READERS = {MCAP_MAGIC: _mcap, BAG_MAGIC: _bag, SQLITE_MAGIC: _sqlite}

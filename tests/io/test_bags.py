@@ -174,6 +174,15 @@ def test_points_at_the_sensor_are_no_return(tmp_path):
     assert np.isfinite(scan.points).sum() == points.size - 3
 
 
+@pytest.mark.parametrize("what", ["damaged", "not a number"])
+def test_inertial_samples_of_no_use_are_left_out(tmp_path, what):
+    bag = Bagged(tmp_path / "a.mcap").clouds().odometry().tf("base_link", "base_link_imu", MOUNT)
+    message = bag.make.imu(0, np.full(3, np.nan), np.zeros(3))
+    bag.rows.append(("/imu", "sensor_msgs/msg/Imu", 0.0, b"\0\1\0\0ab" if what == "damaged" else message))
+    imu = read_flight(bag.write()).imu
+    assert imu is None or len(imu.stamp_s) == 0
+
+
 def test_inertial_samples_are_rotated_to_the_axes_of_the_drone(bag):
     flight = made_up()
     for stamp_s, force, rate in zip(

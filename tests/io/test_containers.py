@@ -135,6 +135,31 @@ def test_a_damaged_chunk_costs_only_its_messages(tmp_path):
         np.testing.assert_array_equal(scan.points, POINTS)
 
 
+def test_compressed_files_without_metadata_are_refused(tmp_path):
+    (tmp_path / "folder").mkdir()
+    for path in (tmp_path / "a.mcap.zstd", tmp_path / "folder" / "a.db3.zstd"):
+        path.write_bytes(b"\x28\xb5\x2f\xfd")
+        with pytest.raises(InputError, match=r"is compressed; expected it unpacked \(`unzstd a"):
+            read_flight(path if "folder" not in str(path) else path.parent)
+
+
+@pytest.mark.parametrize("mode", ["FILE", "MESSAGE"])
+def test_a_compressed_ros_2_folder_is_read(tmp_path, mode):
+    from rosbags import rosbag2
+
+    bag, store = Bagged(tmp_path / "a.db3").clouds().odometry(), typestore(2)
+    writer = rosbag2.Writer(tmp_path / "folder", version=8)
+    writer.set_compression(rosbag2.CompressionMode[mode], rosbag2.CompressionFormat.ZSTD)
+    with writer:
+        topics = {topic: writer.add_connection(topic, kind, typestore=store) for topic, kind, _, _ in bag.rows[::5]}
+        for topic, kind, stamp, message in sorted(bag.rows, key=lambda row: row[2]):
+            writer.write(topics[topic], ns(stamp), store.serialize_cdr(message, kind))
+    assert_whole(read_flight(tmp_path / "folder"))
+    if mode == "MESSAGE":
+        (tmp_path / "folder" / "metadata.yaml").unlink()
+        assert_whole(read_flight(tmp_path / "folder"))
+
+
 def test_an_unmerged_journal_is_told(tmp_path):
     path = part(tmp_path / "a.db3", 0, 5)
     (tmp_path / "a.db3-wal").write_bytes(b"more")

@@ -136,6 +136,13 @@ def test_clouds_in_the_world_are_brought_back_to_the_drone(bag, tmp_path, frame,
     assert flight.facts["mount"].startswith(f"points are in {frame}, brought back to")
 
 
+def test_clouds_in_a_world_that_nothing_relates_to_the_poses_are_refused(bag):
+    path = bag.clouds(frame="map").odometry(frame="camera_init", child="body").write()
+    with pytest.raises(InputError, match=r"scans are in 'map', a frame of the world, which nothing relates to 'body'"):
+        read_flight(path)
+    assert read_flight(path, T_drone_sensor=MOUNT).facts["mount"] == "as given"
+
+
 def test_poses_of_something_else_than_the_sensors_drone_are_refused(bag):
     moving(moving(bag.clouds(), "odom", "base_link"), "odom", "marker", poses(5, seed=3)).tf("base_link", "tof", MOUNT)
     with pytest.raises(InputError, match=r"poses are of marker, but tof moves without it.*--poses 'odom>base_link'"):
