@@ -13,13 +13,17 @@ absolute deviations, which allow for a simulated clock of another speed."""
 
 
 def far_stamps(stamp_s: Array, log_s: Array) -> NDArray[np.bool_]:
-    """Which stamps ``(N,)`` are far from the times of recording ``log_s (N,)``, compared with most of the others."""
+    """Which stamps ``(N,)`` are far from the times of recording ``log_s (N,)``, compared with most of the others.
+
+    Stamps that go on from right ones without a jump are right: then the recording paused.
+    """
     if not len(stamp_s):
         return np.zeros(0, bool)
     late_s = stamp_s - log_s
     off_s = np.abs(late_s - np.median(late_s))
     far: NDArray[np.bool_] = off_s > np.maximum(FAR_S, FAR_MADS * np.median(off_s))
-    return far
+    run = np.cumsum(np.abs(np.diff(stamp_s, prepend=stamp_s[0])) > FAR_S)
+    return far & ~np.isin(run, run[~far])
 
 
 def rising_stamps(stamp_s: Array, strictly: bool = True) -> IntArray:

@@ -64,6 +64,11 @@ def test_a_simulated_clock_of_any_speed_is_right(speed):
     assert not far_stamps(speed * 0.1 * np.arange(600), log_s).any()
 
 
+def test_stamps_that_go_on_while_the_recording_paused_are_right():
+    stamp_s = 0.1 * np.arange(600)
+    assert not far_stamps(stamp_s, EPOCH_S + stamp_s + 60 * (stamp_s > 40)).any()
+
+
 @given(st.lists(st.integers(0, 6), max_size=9), st.booleans())
 def test_the_longest_rising_series_is_kept(stamps, strictly):
     found = rising_stamps(np.array(stamps, dtype=float), strictly)
