@@ -100,16 +100,23 @@ def run(
     force: Force = False,
     scans: Annotated[str | None, typer.Option(help="Topic or sub-folder of the scans.", rich_help_panel=MORE)] = None,
     poses: Annotated[
-        str | None, typer.Option(help="Topic or trajectory file of the poses.", rich_help_panel=MORE)
+        str | None,
+        typer.Option(help="Topic or trajectory file of the poses, or frames: 'odom>base_link'.", rich_help_panel=MORE),
     ] = None,
     mount: Annotated[
         str | None,
         typer.Option(
             metavar="X,Y,Z,ROLL,PITCH,YAW",
-            help="Pose of the sensor on the drone, in metres and degrees. Default: from tf_static, else zero.",
+            help="Pose of the sensor on the drone, in metres and degrees. Default: from tf, else zero.",
             rich_help_panel=MORE,
         ),
     ] = None,
+    clock: Annotated[
+        str, typer.Option(help="stamps of the messages, or bag: times of recording.", rich_help_panel=MORE)
+    ] = "stamps",
+    time_offset: Annotated[
+        float, typer.Option(metavar="SECONDS", help="Added to the stamps of the scans.", rich_help_panel=MORE)
+    ] = 0.0,
 ) -> None:
     """Correct the drift of a recorded flight.
 
@@ -119,7 +126,7 @@ def run(
         from steelnb.io import read_flight, read_trajectory, read_truth
         from steelnb.odometry import load_odometry
         from steelnb.recording.run import run_recording
-        from steelnb.recording.settings import Scene, recording_settings, settings_line, voxel_warning
+        from steelnb.recording.settings import Scene, parse_mount, recording_settings, settings_line, voxel_warning
         from steelnb.recording.summary import opened_lines
 
         options: dict[str, Any] = {"range_max_m": range_max, "overrides": _overrides(changed)}
@@ -131,7 +138,8 @@ def run(
         check_folder(target, force)
         other = (estimate.name, read_trajectory(estimate)) if estimate else None
         on_stage(f"opening {recording.name}")
-        flight = read_flight(recording, scans=scans, poses=poses, T_drone_sensor=_mount(mount))
+        clocks: dict[str, Any] = {"clock": clock, "time_offset_s": time_offset}
+        flight = read_flight(recording, scans=scans, poses=poses, T_drone_sensor=parse_mount(mount), **clocks)
         true, scene = read_truth(recording, truth=truth), Scene.of(flight)
         settings, structure = recording_settings(scene=scene, **options)
         print("\n".join((*opened_lines(flight), settings_line(settings))), flush=True)
@@ -233,16 +241,3 @@ def _overrides(changed: list[str] | None) -> dict[str, Any]:
         if "=" not in text:
             raise InputError(f"--set {text}: expected TABLE.NAME=VALUE, such as preprocess.voxel_leaf_m=0.1")
     return dict(map(parse_parameter, changed or []))
-
-
-def _mount(text: str | None) -> Any:
-    """``T_drone_sensor (4, 4)`` of ``--mount``."""
-    from steelnb.settings import CameraSettings
-
-    if text is None:
-        return None
-    try:
-        x, y, z, roll, pitch, yaw = map(float, text.split(","))
-    except ValueError:
-        raise InputError(f"--mount {text}: expected six numbers, such as 0.06,0,0,0,0,0") from None
-    return CameraSettings(mount_m=(x, y, z), mount_rpy_deg=(roll, pitch, yaw)).T_drone_sensor

@@ -85,6 +85,9 @@ BAD = (
     (["run", "a.mcap", "--range-max", "-1"], "crop_m = -1.0"),
     (["run", "a.mcap", "--poses", "/nothing"], "no topic '/nothing'"),
     (["run", "a.mcap", "--poses", "late.tum"], "no scan has a pose"),
+    (["run", "a.mcap", "--poses", "odom>nothing"], "no poses of 'nothing' in 'odom' on tf"),
+    (["run", "a.mcap", "--clock", "sun"], "clock 'sun' with 0.0 s; expected stamps or bag"),
+    (["run", "a.mcap", "--time-offset", "5000"], "--time-offset SECONDS shifts scans"),
     (["run", "a.mcap", "--truth", "nothing.tum"], "nothing.tum: no such file, here or in a.mcap"),
     (["run", "a.mcap", "-o", "kept_run"], "kept_run: exists already; expected a new folder, or --force"),
     (

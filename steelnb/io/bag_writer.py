@@ -13,7 +13,8 @@ from scipy.spatial.transform import Rotation
 from steelnb.core.errors import InputError, OutputError
 from steelnb.core.files import new_folder
 from steelnb.core.types import Array, Flight, Trajectory
-from steelnb.io.bag_reader import CLOUD, IMU, ODOMETRY, TF, typestore
+from steelnb.io.containers import typestore
+from steelnb.io.messages import CLOUD, IMU, ODOMETRY, TF
 from steelnb.io.recordings import truth_path
 from steelnb.io.trajectories import write_tum
 

@@ -10,11 +10,19 @@ import numpy as np
 
 from steelnb.core.errors import InputError
 from steelnb.core.types import Array, Flight, Imu, IntArray, Scan, Trajectory
-from steelnb.io.bag_reader import CAMERA, CLOUD, IMU, ODOMETRY, POSE_STAMPED, TF, Bag, is_bag
+from steelnb.io.bags import Clock, open_bag
+from steelnb.io.clocks import rising_stamps
 from steelnb.io.clouds import READERS, read_points
+from steelnb.io.containers import bags_in, is_bag
 from steelnb.io.trajectories import interpolate, read_trajectory
 
 TRUE = ("groundtruth.tum", "groundtruth.txt")
+CLOCKS = ("stamps", "bag")
+RISING_MIN = 0.5
+"""If fewer of the stamps rise, the clock is of no use."""
+FAR_M = 1e6
+"""No sensor sees farther. A few such points are no returns; if most are so, the scan is not in metres."""
+_REMEDY = "expected one clock (--time-offset SECONDS shifts scans, --clock bag takes the times of recording)"
 Walk = Callable[[IntArray], Iterator[Callable[[], Array]]]
 """Iterator over the decoders of the scans with these increasing numbers."""
 
@@ -25,41 +33,74 @@ def read_flight(
     scans: str | None = None,
     poses: str | None = None,
     T_drone_sensor: Array | None = None,
+    clock: str = "stamps",
+    time_offset_s: float = 0.0,
 ) -> Flight:
     """Open a recorded flight. Its scans are read one at a time during iteration.
 
     Parameters
     ----------
-    path : a ROS 1 bag, an MCAP or sqlite file, a ROS 2 folder, or a folder of clouds (PLY, PCD, LAS, LAZ, NPY, XYZ) in
-        the sensor frame with a trajectory of the drone (TUM).
+    path : a ROS 1 bag, an MCAP or sqlite file, a ROS 2 folder, a folder of such files that are parts of one recording,
+        or a folder of clouds (PLY, PCD, LAS, LAZ, NPY, XYZ) in the sensor frame with a trajectory of the drone (TUM).
     scans : topic or sub-folder of the scans; by default the only one of a suitable type.
-    poses : topic or trajectory file of the drone's drifting poses; by default the only one, or tf.
-    T_drone_sensor : pose ``(4, 4)`` of the sensor; by default that of tf_static, or the identity if unknown.
+    poses : topic or trajectory file of the drone's drifting poses, or frames of tf such as "odom>base_link"; by default
+        the only topic, or tf.
+    T_drone_sensor : pose ``(4, 4)`` of the sensor; by default that of tf, or the identity if unknown.
+    clock : "stamps" of the messages, or those of the "bag", the times at which messages were recorded.
+    time_offset_s : added to the stamps of the scans, seconds, if their clock is off that of the poses.
 
-    Returns a `Flight`. Its ``prior`` is interpolated at the stamps of the scans, its ``facts`` name the topics and the
-    mount, and ``skipped`` counts dropped scans and poses. Raises `InputError`.
+    Returns a `Flight`. Its ``prior`` is interpolated at the stamps of the scans, its ``facts`` name the topics, the
+    frames and the mount, with ``notes`` on what contradicted itself, and ``skipped`` counts dropped scans and poses.
+    Raises `InputError`, also if no scan can be read.
     """
     path = Path(path)
     if not path.exists():
         raise InputError(f"{path}: does not exist; expected a recording")
     if not path.is_dir() and not is_bag(path):
         raise InputError(f"{path}: ending {path.suffix!r}; expected .bag, .mcap, .db3 or a folder")
-    opened = (_open_bag if is_bag(path) else _open_clouds)(path, scans, poses)
+    if clock not in CLOCKS or not np.isfinite(time_offset_s):
+        raise InputError(f"clock {clock!r} with {time_offset_s} s; expected {' or '.join(CLOCKS)}, and finite seconds")
+    opened: _Parts
+    if is_bag(path):
+        opened = open_bag(path, scans, poses, T_drone_sensor, Clock(clock == "bag", time_offset_s))
+    else:
+        if clock == "bag":
+            raise InputError(
+                f"{path}: clock 'bag'; expected a bag, as clouds in files have no other stamps than their own"
+            )
+        if bags := bags_in(path):
+            raise InputError(f"{path}: bags in it: {', '.join(bags)}; expected one of them")
+        opened = _open_clouds(path, scans, poses)
+        opened = opened[0] + time_offset_s, *opened[1:]
     stamp_s, walk, prior, mount, facts, imu, skipped = opened
     if T_drone_sensor is not None:
         mount, facts["mount"] = T_drone_sensor, "as given"
-    number = np.flatnonzero(np.diff(np.maximum.accumulate(stamp_s), prepend=-np.inf) > 0)
-    skipped["scan whose stamp does not rise"] += len(stamp_s) - len(number)
+    number, usable = rising_stamps(stamp_s), int((~np.isnan(stamp_s)).sum())
+    skipped["scan whose stamp does not rise"] += usable - len(number)
+    if len(number) < RISING_MIN * usable:
+        span = f"{np.nanmin(stamp_s):.3f} to {np.nanmax(stamp_s):.3f} s"
+        raise InputError(f"{path}: stamps of {usable} scans, {span}, rise only {len(number)} times; {_REMEDY}")
     T_world_drone, covered = interpolate(prior, stamp_s[number])
     skipped["scan without a pose near"] += int((~covered).sum())
     if not covered.any():
-        seconds = [f"{each[0]:.3f} to {each[-1]:.3f} s" for each in (stamp_s, prior.stamp_s)]
-        raise InputError(f"{path}: no scan has a pose: scans at {seconds[0]}, poses at {seconds[1]}")
+        seconds = [f"{each[0]:.3f} to {each[-1]:.3f} s" for each in (stamp_s[number], prior.stamp_s)]
+        raise InputError(f"{path}: no scan has a pose: scans at {seconds[0]}, poses at {seconds[1]}; {_REMEDY}")
     number = number[covered]
     poses_at = Trajectory(stamp_s[number], T_world_drone[covered])
     skipped_counts = {reason: count for reason, count in skipped.items() if count}
     found = Scans(walk, number, poses_at.stamp_s)
+    _check_scans(path, found)
     return Flight(found, poses_at, mount, imu, path.resolve().name, facts, skipped_counts)
+
+
+def _check_scans(path: Path, scans: "Scans") -> None:
+    """Raise `InputError` with the first scan's fault if none has points. Reads up to the first that has."""
+    first = ""
+    for scan in scans:
+        if not scan.fault:
+            return
+        first = first or scan.fault
+    raise InputError(f"{path}: none of {len(scans)} scans can be read; the first: {first}")
 
 
 def read_truth(path: Path | str, *, truth: str | None = None) -> Trajectory | None:
@@ -85,7 +126,7 @@ class Scans(Sequence[Scan]):
     """Scans in files. Every iteration reads them again, one in memory at a time; indexing reads only those selected.
 
     ``stamp_s (K,)`` increases. A scan that cannot be read has no points, and `Scan.fault` says why. Points at (0, 0, 0)
-    become NaN, since many drivers write zeros for no return.
+    and beyond `FAR_M` become NaN, since drivers write such for no return.
     """
 
     def __init__(self, walk: Walk, number: IntArray, stamp_s: Array) -> None:
@@ -107,9 +148,15 @@ def _scan(stamp_s: float, decode: Callable[[], Array]) -> Scan:
         points = decode()
     except InputError as fault:  # a damaged message or file only loses one scan
         return Scan(stamp_s, np.zeros((0, 3)), f"unreadable scan: {fault}")
-    zero = (points == 0).all(axis=-1)
-    if zero.any():
-        points = np.where(zero[..., None], np.nan, points)
+    x, y, z = np.moveaxis(points, -1, 0)
+    lost = (x == 0) & (y == 0) & (z == 0)
+    if max(np.fmax.reduce(points, axis=None, initial=0), -np.fmin.reduce(points, axis=None, initial=0)) > FAR_M:
+        far = (np.abs(points) > FAR_M).any(axis=-1)
+        if far.sum() > np.isfinite(points).all(axis=-1).sum() / 2:
+            return Scan(stamp_s, np.zeros((0, 3)), f"unreadable scan: {far.sum()} points beyond {FAR_M:g} m")
+        lost |= far
+    if lost.any():
+        points = np.where(lost[..., None], np.nan, points)
     if not np.isfinite(points).any():
         return Scan(stamp_s, np.zeros((0, 3)), "no finite point")
     return Scan(stamp_s, points)
@@ -117,26 +164,6 @@ def _scan(stamp_s: float, decode: Callable[[], Array]) -> Scan:
 
 _Parts = tuple[Array, Walk, Trajectory, Array, dict[str, str], Imu | None, Counter[str]]
 """Stamps of all scans, the scans, poses of the drone, mount, facts, IMU, and counts of what was skipped."""
-
-
-def _open_bag(path: Path, scans: str | None, poses: str | None) -> _Parts:
-    bag = Bag(path)
-    clouds, tf_topics, imu_topics = bag.of_type(CLOUD), bag.of_type(*TF), bag.of_type(IMU)[:1]
-    scan_topic = bag.choose("clouds (PointCloud2 or depth images)", scans, clouds or bag.depth_images())
-    is_pose_file = poses is not None and poses not in bag.types and Path(poses).is_file()
-    pose_topics = bag.of_type(ODOMETRY, POSE_STAMPED)
-    uses_tf = not poses and not pose_topics and tf_topics
-    chosen = [] if is_pose_file or uses_tf else [bag.choose("poses", poses, pose_topics)]
-    bag.read(scan_topic, *chosen, *tf_topics, *imu_topics, *([] if clouds else bag.of_type(CAMERA)))
-    source = str(poses) if is_pose_file else chosen[0] if chosen else bag.poses_of_tf()
-    prior = read_trajectory(source, bag.skipped) if is_pose_file else bag.poses(source)
-    body, (to_points, optical) = bag.frame_of.get(source, ""), bag.to_points(scan_topic)
-    mount, mount_source = bag.mount(body, bag.frame_of.get(scan_topic, ""), optical)
-    kind = bag.types[scan_topic].rpartition("/")[2]
-    facts = {"scans": f"{scan_topic} ({kind})", "poses": source, "mount": mount_source}
-    facts |= {"imu": imu_topics[0]} if imu_topics else {}
-    imu = bag.imu(imu_topics[0], body) if imu_topics else None
-    return bag.stamp_s(scan_topic), partial(bag.walk, scan_topic, to_points), prior, mount, facts, imu, bag.skipped
 
 
 def _open_clouds(path: Path, scans: str | None, poses: str | None) -> _Parts:

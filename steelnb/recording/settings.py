@@ -10,7 +10,7 @@ import numpy as np
 from steelnb.core.errors import InputError
 from steelnb.core.types import Array, Flight
 from steelnb.points import voxel_grid
-from steelnb.settings import ExperimentSettings, StructureSettings
+from steelnb.settings import CameraSettings, ExperimentSettings, StructureSettings
 from steelnb.settings.base import setting_names
 
 FIRST_SCANS = 10
@@ -113,6 +113,17 @@ def recording_settings(
     also |= {"floor_m": seen.floor_m} if seen.floor_m != before.floor_m else {}
     # Uncorrected poses are not adjusted, and smoothed ones already are.
     return settings, StructureSettings(adjust=method != "none" and not settings.odometry.smooth, **also)
+
+
+def parse_mount(text: str | None) -> Array | None:
+    """``T_drone_sensor (4, 4)`` from x, y, z, roll, pitch, yaw, metres and degrees, as text. Raises `InputError`."""
+    if text is None:
+        return None
+    try:
+        x, y, z, roll, pitch, yaw = map(float, text.split(","))
+    except ValueError:
+        raise InputError(f"--mount {text}: expected six numbers, such as 0.06,0,0,0,0,0") from None
+    return CameraSettings(mount_m=(x, y, z), mount_rpy_deg=(roll, pitch, yaw)).T_drone_sensor
 
 
 def settings_line(settings: ExperimentSettings) -> str:

@@ -16,7 +16,8 @@ WARNINGS = {
 
 
 def opened_lines(flight: Flight) -> tuple[str, ...]:
-    """Lines of text on what was read from a recording: topics, mount, scans, and what was skipped."""
+    """Lines of text on what was read from a recording: topics, mount, frames, scans, and what was skipped or
+    contradicted itself."""
     x, y, z = flight.T_drone_sensor[:3, 3]
     yaw, pitch, roll = Rotation.from_matrix(flight.T_drone_sensor[:3, :3]).as_euler("ZYX", degrees=True)
     topics = ", ".join(f"{part} {flight.facts[part]}" for part in ("scans", "poses", "imu") if part in flight.facts)
@@ -26,9 +27,11 @@ def opened_lines(flight: Flight) -> tuple[str, ...]:
         f"read      {flight.name}: {topics}",
         f"mount     at x {x:.3f}, y {y:.3f}, z {z:.3f} m, roll {roll:.1f}, pitch {pitch:.1f}, yaw {yaw:.1f}° "
         f"({flight.facts['mount']})",
+        *([f"frames    {flight.facts['frames']}"] if "frames" in flight.facts else []),
         f"scans     {len(stamp_s)} with a pose over {np.ptp(stamp_s):.1f} s"
         + (f", {1 / np.median(np.diff(stamp_s)):.4g} a second" if len(stamp_s) > 1 else ""),
         *([f"skipped   {skipped}"] if skipped else []),
+        *([f"note      {flight.facts['notes']}"] if "notes" in flight.facts else []),
     )
 
 

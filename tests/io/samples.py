@@ -7,8 +7,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from steelnb.core.types import Array, Flight, Imu, Scan, Trajectory
-from steelnb.io.bag_reader import CAMERA, CLOUD, IMAGE, ODOMETRY, POSE_STAMPED, TF, typestore
 from steelnb.io.bag_writer import Messages
+from steelnb.io.containers import typestore
+from steelnb.io.messages import CAMERA, CLOUD, IMAGE, ODOMETRY, PATH, POSE_COVARIANCE, POSE_STAMPED, TF, TRANSFORM
 
 KINDS = ("a.bag", "a.mcap", "a.db3")
 STAMPS = np.round(0.2 * np.arange(5), 9)
@@ -56,13 +57,22 @@ class Bagged:
             self.rows.append((topic, CLOUD, float(stamp), message))
         return self
 
-    def odometry(self, topic="/odom", trajectory=None, child="base_link", kind=ODOMETRY) -> "Bagged":
+    def odometry(self, topic="/odom", trajectory=None, child="base_link", kind=ODOMETRY, frame="odom") -> "Bagged":
         trajectory = trajectory or poses(len(STAMPS))
         for stamp, T in zip(trajectory.stamp_s, trajectory.T_world_drone, strict=True):
             message = self.make.odometry(ns(stamp), T)
-            message.child_frame_id = child
+            message.child_frame_id, message.header.frame_id = child, frame
             if kind == POSE_STAMPED:
                 message = self.make.make(POSE_STAMPED, message.header, message.pose.pose)
+            elif kind == POSE_COVARIANCE:
+                message = self.make.make(POSE_COVARIANCE, message.header, message.pose)
+            elif kind == TRANSFORM:
+                message = self.make.transform(ns(stamp), frame, child, T).transforms[0]
+            elif kind == PATH:
+                past = trajectory.T_world_drone[: len([r for r in self.rows if r[0] == topic]) + 1]
+                each = [self.make.odometry(ns(s), t) for s, t in zip(trajectory.stamp_s, past, strict=False)]
+                each = [self.make.make(POSE_STAMPED, one.header, one.pose.pose) for one in each]
+                message = self.make.make(PATH, message.header, each)
             self.rows.append((topic, kind, float(stamp), message))
         return self
 
@@ -71,19 +81,20 @@ class Bagged:
         return self
 
     def images(self, topic, pixels, encoding, frame="camera_optical_frame", stamps=STAMPS) -> "Bagged":
-        raw = np.ascontiguousarray(pixels)
         for stamp in stamps:
-            data, header = raw.reshape(-1).view(np.uint8), self.make.header(ns(stamp), frame)
-            step = raw[0].nbytes
-            message = self.make.make(IMAGE, header, raw.shape[0], raw.shape[1], encoding, 0, step, data)
-            self.rows.append((topic, IMAGE, float(stamp), message))
+            self.rows.append((topic, IMAGE, float(stamp), self.image(pixels, encoding, frame, stamp)))
         return self
 
-    def camera(self) -> "Bagged":
-        roi = self.make.make("sensor_msgs/msg/RegionOfInterest", 0, 0, 0, 0, False)
-        K = np.array([2.0, 0, 1.0, 0, 4.0, 0.5, 0, 0, 1])
-        arrays = (np.zeros(5), K, np.eye(3).ravel(), np.zeros(12))
-        message = self.make.make(CAMERA, self.make.header(0, "c"), 2, 3, "plumb_bob", *arrays, 0, 0, roi)
+    def image(self, pixels, encoding, frame="camera_optical_frame", stamp=0.0):
+        raw = np.ascontiguousarray(pixels)
+        data, header = raw.reshape(-1).view(np.uint8), self.make.header(ns(stamp), frame)
+        return self.make.make(IMAGE, header, raw.shape[0], raw.shape[1], encoding, 0, raw[0].nbytes, data)
+
+    def camera(self, K=(2.0, 0, 1.0, 0, 4.0, 0.5, 0, 0, 1), size=(2, 3), binning=0, roi=(0, 0, 0, 0)) -> "Bagged":
+        part = self.make.make("sensor_msgs/msg/RegionOfInterest", *roi, False)
+        arrays = (np.zeros(5), np.array(K), np.eye(3).ravel(), np.zeros(12))
+        header = self.make.header(0, "c")
+        message = self.make.make(CAMERA, header, *size, "plumb_bob", *arrays, binning, binning, part)
         self.rows.append(("/depth/camera_info", CAMERA, 0.0, message))
         return self
 

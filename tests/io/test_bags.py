@@ -5,7 +5,8 @@ import pytest
 
 from steelnb.core.errors import InputError
 from steelnb.io import read_flight, write_tum
-from steelnb.io.bag_reader import ODOMETRY, POSE_STAMPED, T_OPTICAL_SENSOR
+from steelnb.io.frames import T_OPTICAL_SENSOR
+from steelnb.io.messages import CLOUD, ODOMETRY, PATH, POSE_COVARIANCE, POSE_STAMPED, TRANSFORM
 from tests.io.samples import KINDS, POINTS, STAMPS, Bagged, T_of, made_up, ns, poses
 
 MOUNT, SHIFT = T_of((0.1, 0.2, 0.3), (0.1, -0.2, 0.3)), T_of((1, 2, 3))
@@ -16,7 +17,7 @@ def bag(request, tmp_path):
     return Bagged(tmp_path / request.param)
 
 
-@pytest.mark.parametrize("kind", [ODOMETRY, POSE_STAMPED])
+@pytest.mark.parametrize("kind", [ODOMETRY, POSE_STAMPED, POSE_COVARIANCE, TRANSFORM, PATH])
 def test_scans_and_poses_are_found_by_type(bag, kind):
     flight = read_flight(bag.clouds().odometry(kind=kind).write())
     np.testing.assert_array_equal(flight.prior.stamp_s, STAMPS)
@@ -161,7 +162,7 @@ def test_invalid_scans_have_a_fault_and_keep_their_place(tmp_path):
     scans = list(read_flight(bag.write()).scans)
     assert [bool(scan.fault) for scan in scans] == [False, True, True, True, False]
     assert scans[1].fault == "no finite point"
-    assert scans[3].fault == "unreadable scan: fields intensity, y, z; expected x, y and z as float32 or float64"
+    assert scans[3].fault == "unreadable scan: fields intensity, y, z; expected x, y and z of a numeric type"
     np.testing.assert_array_equal(scans[4].points, POINTS + 4)
 
 
@@ -171,6 +172,15 @@ def test_points_at_the_sensor_are_no_return(tmp_path):
     scan = read_flight(Bagged(tmp_path / "a.bag").clouds(points=points).odometry().write()).scans[0]
     assert np.isnan(scan.points[1, 2]).all()
     assert np.isfinite(scan.points).sum() == points.size - 3
+
+
+@pytest.mark.parametrize("what", ["damaged", "not a number"])
+def test_inertial_samples_of_no_use_are_left_out(tmp_path, what):
+    bag = Bagged(tmp_path / "a.mcap").clouds().odometry().tf("base_link", "base_link_imu", MOUNT)
+    message = bag.make.imu(0, np.full(3, np.nan), np.zeros(3))
+    bag.rows.append(("/imu", "sensor_msgs/msg/Imu", 0.0, b"\0\1\0\0ab" if what == "damaged" else message))
+    imu = read_flight(bag.write()).imu
+    assert imu is None or len(imu.stamp_s) == 0
 
 
 def test_inertial_samples_are_rotated_to_the_axes_of_the_drone(bag):
@@ -186,27 +196,33 @@ def test_inertial_samples_are_rotated_to_the_axes_of_the_drone(bag):
     np.testing.assert_allclose(read.angular_rate, flight.imu.angular_rate @ MOUNT[:3, :3].T, atol=1e-12)
 
 
-@pytest.mark.parametrize("kind", ["nav_msgs/msg/Odometry", "sensor_msgs/msg/PointCloud2", "sensor_msgs/msg/Image"])
-def test_a_truncated_message_is_refused(tmp_path, kind):
+@pytest.mark.parametrize("kind", ["sensor_msgs/msg/PointCloud2", "sensor_msgs/msg/Image"])
+def test_a_bag_whose_only_scan_is_damaged_is_refused(tmp_path, kind):
     bag = Bagged(tmp_path / "a.mcap").odometry()
-    bag.rows.append(("/odom" if kind == ODOMETRY else "/scans", kind, 0.3, b"\0\1\0\0abc"))
-    if kind == ODOMETRY:
-        bag.clouds()
+    bag.rows.append(("/scans", kind, 0.3, b"\0\1\0\0abc"))
     with pytest.raises(InputError, match=rf"a\.mcap: not a bag of readable {kind.rpartition('/')[2]} messages"):
         read_flight(bag.write())
 
 
+@pytest.mark.parametrize(("topic", "kind"), [("/odom", ODOMETRY), ("/points", CLOUD)])
+def test_one_damaged_message_costs_only_itself(tmp_path, topic, kind):
+    bag = Bagged(tmp_path / "a.mcap").odometry().clouds()
+    bag.rows.append((topic, kind, 0.3, b"\0\1\0\0abc"))
+    flight = read_flight(bag.write())
+    np.testing.assert_array_equal([scan.points for scan in flight.scans], [POINTS] * 5)
+    assert flight.skipped == {f"{kind.rpartition('/')[2]} message that cannot be decoded": 1}
+
+
 def test_other_files_are_refused(tmp_path):
     (tmp_path / "a.txt").write_text("nothing")
+    (tmp_path / "empty.db3").touch()
     (tmp_path / "junk.mcap").write_bytes(b"junk")
     (tmp_path / "folder.bag").mkdir()
-    complete = Bagged(tmp_path / "complete.bag").clouds().odometry().write()
-    (tmp_path / "half.bag").write_bytes(complete.read_bytes()[: complete.stat().st_size // 2])
     for name, message in {
         "nothing.bag": "does not exist",
         "a.txt": "ending '.txt'; expected .bag, .mcap, .db3 or a folder",
-        "junk.mcap": "not a bag",
-        "half.bag": "not a bag",
+        "empty.db3": "is empty.*expected a sqlite file of ROS 2",
+        "junk.mcap": "begins with b'junk'.*expected an MCAP file",
         "folder.bag": "no clouds in it",
     }.items():
         with pytest.raises(InputError, match=rf"{name}: .*{message}"):

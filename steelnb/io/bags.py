@@ -1,0 +1,164 @@
+"""Flights recorded in bags: which topics, clocks and frames, and the scans one by one."""
+
+from collections import Counter
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from functools import partial
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from steelnb.core.errors import InputError
+from steelnb.core.types import Array, Imu, IntArray, Trajectory
+from steelnb.io import messages as ros
+from steelnb.io.clocks import rising_stamps
+from steelnb.io.containers import Container, LostIndexError
+from steelnb.io.frames import Frames, drone_axes, sensor_frames
+from steelnb.io.headers import Headers, frame_name
+from steelnb.io.scanning import Raw
+from steelnb.io.topics import PoseSource, camera_topic, pose_source, scan_topic
+from steelnb.io.trajectories import read_trajectory, trajectory_of
+from steelnb.io.transforms import Tree, is_world_name
+
+
+class Clock(NamedTuple):
+    """Which stamps count: those in the messages or, ``by_log``, the times of recording; ``offset_s`` is added to those
+    of scans."""
+
+    by_log: bool = False
+    offset_s: float = 0.0
+
+
+class OpenedBag(NamedTuple):
+    """``stamp_s (N,)`` of all scans, NaN of those that are not used; ``walk`` over their decoders; poses of the drone,
+    ``T_drone_sensor (4, 4)``, what a `Flight` tells, and counts of what was skipped."""
+
+    stamp_s: Array
+    walk: Callable[[IntArray], Iterator[Callable[[], Array]]]
+    prior: Trajectory
+    T_drone_sensor: Array
+    facts: dict[str, str]
+    imu: Imu | None
+    skipped: Counter[str]
+
+
+def open_bag(path: Path, scans: str | None, poses: str | None, mount: Array | None, clock: Clock) -> OpenedBag:
+    """Open a bag. ``mount``: ``T_drone_sensor`` if the user gives one. Raises `InputError`."""
+    container = Container(path)
+    while True:
+        try:
+            return _Bag(container, clock).open(scans, poses, mount)
+        except LostIndexError:  # a file fails in the middle, and is scanned from now on
+            continue
+
+
+class _Bag:
+    """What follows from the headers of a bag."""
+
+    def __init__(self, container: Container, clock: Clock) -> None:
+        self.bag, self.clock, self.headers = container, clock, Headers(container, clock.by_log)
+
+    def open(self, scans: str | None, poses: str | None, mount: Array | None) -> OpenedBag:
+        topic, imus = scan_topic(self.bag, scans), self.bag.of_type(ros.IMU)[:1]
+        is_depth = self.bag.types[topic] == ros.IMAGE
+        source = pose_source(self.bag, poses, topic)
+        self.headers.read(topic, *source.topics, *source.tf, *imus, *(self.bag.of_type(ros.CAMERA) if is_depth else ()))
+        camera, tree = self._camera(topic) if is_depth else None, self.headers.tree()
+        stamp_s = self.headers.scan_stamps(topic) + self.clock.offset_s
+        used = [name for name, stamp in zip(self.headers.scan_frames, stamp_s.tolist(), strict=True) if stamp == stamp]
+        try:
+            prior, world, body, said = self._poses(source, tree, tree.resolve(Counter(used).most_common(1)[0][0]))
+            frames = sensor_frames(tree, world, body, self.headers.scan_frames, stamp_s, is_depth, mount)
+        except InputError as fault:
+            raise InputError(str(fault) if str(self.bag.path) in str(fault) else f"{self.bag.path}: {fault}") from None
+        unplaced = np.isnan(frames.stamp_s) & ~np.isnan(stamp_s)
+        self.headers.skipped["scan without a transform to the drone"] += int(unplaced.sum())
+        facts = {"scans": f"{topic} ({self.bag.types[topic].rpartition('/')[2]})", "poses": said}
+        facts |= {"mount": frames.source, "frames": frames.chain} | ({"imu": imus[0]} if imus else {})
+        lost = ["what is whole is read"] if self.bag.notes else []
+        notes = [*self.bag.notes, *lost, *self.headers.notes, *frames.notes]
+        facts |= {"notes": "; ".join(notes)} if notes else {}
+        imu = self._imu(imus[0], tree, body) if imus and imus[0] in self.headers.frame_of else None
+        walk = partial(self._walk, topic, camera, frames)
+        return OpenedBag(frames.stamp_s, walk, prior, frames.T_drone_sensor, facts, imu, self.headers.skipped)
+
+    def _poses(self, source: PoseSource, tree: Tree, sensor: str) -> tuple[Trajectory, str, str, str]:
+        """Poses of the drone, names of the world and of the drone's frame, and the source in words."""
+        world, body, topic = "", "", source.topics[0] if source.topics else ""
+        if source.uses_tf:
+            try:
+                world, body = map(tree.resolve, source.pair or tree.drone(sensor))
+                return _turned(tree.poses(world, body), body), world, body, f"tf {world} → {body}"
+            except InputError:
+                if not topic:
+                    raise
+        if source.file:
+            found, said = read_trajectory(source.file, self.headers.skipped), source.file
+        elif self.bag.types[topic] == ros.PATH:
+            found, world, said = self._path(topic)
+        elif topic in self.headers.frame_of:
+            (world, body), said = self.headers.frame_of[topic], topic
+            found = trajectory_of(self.bag.path, self.headers.rows(topic, 7, "pose"), self.headers.skipped)
+        else:
+            raise self.headers.faults[topic]
+        body = tree.resolve(body) or tree.body_of(sensor)
+        if not world and is_world_name(sensor) and sensor not in tree.frames:
+            world = sensor
+        world = tree.resolve(world)
+        if world and world != body and tree.between(world, body) is None:
+            tree.add(world, body, found)
+            tree.move_still([(world, body)])
+        return _turned(found, body), world, body, said
+
+    def _path(self, topic: str) -> tuple[Trajectory, str, str]:
+        """Poses of a Path topic: those of its longest message, as some grow and others keep the latest poses."""
+        if self.clock.by_log or self.headers.longest is None:
+            raise InputError(
+                f"{topic}: the poses of a Path have only their own stamps; expected another topic of poses"
+            )
+        message = self.bag.decode(self.headers.longest)
+        rows = [(ros.stamp_of(each), *ros.pose_numbers(each, ros.POSE_STAMPED)) for each in message.poses]
+        found = trajectory_of(self.bag.path, np.array(rows, dtype=float).reshape(-1, 8), self.headers.skipped)
+        return found, frame_name(message.header.frame_id), f"{topic} (the longest Path of it, {len(rows)} poses)"
+
+    def _camera(self, topic: str) -> ros.CameraInfo:
+        """The camera of depth images, and a note if its size is not theirs."""
+        camera = self.headers.cameras[camera_topic(self.bag, topic, list(self.headers.cameras))]
+        if self.headers.shape is not None:
+            with suppress(InputError):  # it is the fault of each scan
+                self.headers.notes |= dict.fromkeys(filter(None, ros.camera_matrix(camera, *self.headers.shape)[1:]))
+        return camera
+
+    def _imu(self, topic: str, tree: Tree, body: str) -> Imu:
+        """Inertial samples with increasing stamps, in the axes of the drone if a transform relates them."""
+        rows = self.headers.rows(topic, 6, "inertial sample")
+        rows = rows[np.isfinite(rows).all(axis=1)]
+        rows = rows[rising_stamps(rows[:, 0])]
+        first_s = rows[:1, 0] if len(rows) else np.zeros(1)
+        place = tree.place(body, tree.resolve(self.headers.frame_of[topic][0]), first_s)
+        T_drone_imu = np.eye(4) if place is None else drone_axes(body).T @ place.T_target_source[0]
+        R_drone_imu = T_drone_imu[:3, :3]
+        return Imu(rows[:, 0], rows[:, 1:4] @ R_drone_imu.T, rows[:, 4:] @ R_drone_imu.T)
+
+    def _walk(
+        self, topic: str, camera: ros.CameraInfo | None, frames: Frames, number: IntArray
+    ) -> Iterator[Callable[[], Array]]:
+        """Decoders of the scans with these increasing numbers."""
+        selected, last = set(number.tolist()), int(number.max(initial=-1))
+
+        def points(raw: Raw, k: int) -> Array:
+            message = self.bag.decode(raw)
+            found = ros.cloud_points(message) if camera is None else ros.depth_points(message, camera)
+            return frames.convert(found, k)
+
+        for k, raw in enumerate(self.bag.messages(topic)):
+            if k in selected:
+                yield partial(points, raw, k)
+            if k >= last:
+                return
+
+
+def _turned(poses: Trajectory, body: str) -> Trajectory:
+    """Poses of the drone's axes from those of a frame, which may be optical."""
+    return Trajectory(poses.stamp_s, poses.T_world_drone @ drone_axes(body))

@@ -1,0 +1,50 @@
+"""Stamps that a clock got wrong: found before anything is ordered by them."""
+
+from bisect import bisect_left, bisect_right
+
+import numpy as np
+from numpy.typing import NDArray
+
+from steelnb.core.types import Array, IntArray
+
+FAR_S, FAR_MADS = 5.0, 10.0
+"""A stamp is wrong if it differs from the time of recording by this much more, or less, than usual: seconds, and median
+absolute deviations, which allow for a simulated clock of another speed."""
+
+
+def far_stamps(stamp_s: Array, log_s: Array) -> NDArray[np.bool_]:
+    """Which stamps ``(N,)`` are far from the times of recording ``log_s (N,)``, compared with most of the others.
+
+    Stamps that go on from right ones without a jump are right: then the recording paused.
+    """
+    if not len(stamp_s):
+        return np.zeros(0, bool)
+    late_s = stamp_s - log_s
+    off_s = np.abs(late_s - np.median(late_s))
+    far: NDArray[np.bool_] = off_s > np.maximum(FAR_S, FAR_MADS * np.median(off_s))
+    run = np.cumsum(np.abs(np.diff(stamp_s, prepend=stamp_s[0])) > FAR_S)
+    return far & ~np.isin(run, run[~far])
+
+
+def rising_stamps(stamp_s: Array, strictly: bool = True) -> IntArray:
+    """Indices of the longest rising series of stamps ``(N,)``, so that one wrong stamp leaves out one message.
+
+    NaN are left out. Not ``strictly``: equal stamps rise, too.
+    """
+    known = np.flatnonzero(~np.isnan(stamp_s))
+    steps = np.diff(stamp_s[known])
+    if (steps > 0).all() or (not strictly and (steps >= 0).all()):
+        return known
+    # From the end, so that of two series of one length the earlier messages are kept.
+    known, find = known[::-1], bisect_left if strictly else bisect_right
+    tails: list[float] = []  # the last stamp, negative, of the best series of each length
+    ends: list[int] = []
+    before = np.full(len(known), -1)
+    for k, stamp in enumerate((-stamp_s[known]).tolist()):
+        length = find(tails, stamp)
+        before[k] = ends[length - 1] if length else -1
+        tails[length : length + 1], ends[length : length + 1] = [stamp], [k]
+    chosen = [ends[-1]]
+    while before[chosen[-1]] >= 0:
+        chosen.append(int(before[chosen[-1]]))
+    return known[chosen]

@@ -1,0 +1,128 @@
+"""Frames of the scans of a recording: each scan by its own frame, all given in one frame of the sensor."""
+
+from collections import Counter
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from steelnb.core.errors import InputError
+from steelnb.core.types import Array
+from steelnb.io.transforms import Placement, Tree, is_world_name
+
+T_OPTICAL_SENSOR = np.array([[0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1.0]])
+"""Rotation from x forward, y left, z up to optical axes: z forward, x right, y down (REP 103)."""
+
+
+class Frames(NamedTuple):
+    """``T_drone_sensor (4, 4)``, the mount of all scans; ``stamp_s (N,)`` of the scans, NaN where nothing is known.
+
+    ``T_sensor_scan (N, 4, 4)`` gives a scan in the frame of that mount where ``moved (N,)``, after its optical axes
+    have been turned where ``optical (N,)``. ``source``: of the mount; ``chain``: frames from the world to the sensor;
+    ``notes`` on what is unusual; all in words.
+    """
+
+    T_drone_sensor: Array
+    stamp_s: Array
+    T_sensor_scan: Array
+    moved: NDArray[np.bool_]
+    optical: NDArray[np.bool_]
+    source: str
+    chain: str
+    notes: tuple[str, ...]
+
+    def convert(self, points: Array, number: int) -> Array:
+        """Points ``(..., 3)`` of a scan in the frame of the mount."""
+        if self.optical[number]:
+            points = points @ T_OPTICAL_SENSOR[:3, :3]
+        if self.moved[number]:
+            points = points @ self.T_sensor_scan[number, :3, :3].T + self.T_sensor_scan[number, :3, 3]
+        return points
+
+
+def sensor_frames(
+    tree: Tree, world: str, body: str, names: Sequence[str], stamp_s: Array, is_depth: bool, mount: Array | None
+) -> Frames:
+    """Frames of scans in the frames ``names`` at ``stamp_s (N,)``, on the drone's frame ``body``.
+
+    ``is_depth``: depth images, whose axes are optical whatever the name of their frame. ``mount``: `T_drone_sensor` if
+    the user gives it. Raises `InputError`.
+    """
+    frame, used = np.array(names, dtype=object), ~np.isnan(stamp_s)
+    optical = np.array([is_depth or is_optical(name) for name in names])
+    seen = [name for name, _ in Counter(frame[used].tolist()).most_common()]
+    T_drone_scan, known = np.tile(np.eye(4), (len(frame), 1, 1)), np.zeros(len(frame), bool)
+    placed: dict[str, Placement] = {}
+    for name in seen:
+        at = np.flatnonzero((frame == name) & used)
+        found = tree.place(body, tree.resolve(name), stamp_s[at])
+        if found is not None and mount is None:
+            placed[name] = found
+            turn = T_OPTICAL_SENSOR if is_depth or is_optical(name) else np.eye(4)
+            T_drone_scan[at] = np.linalg.inv(drone_axes(body)) @ found.T_target_source @ turn
+            known[at] = found.known
+    main = next(iter(placed), seen[0])
+    others = [name for name in seen if name not in placed and name != main]
+    if mount is not None and len(seen) > 1:
+        raise InputError(f"scans in frames {', '.join(seen)}: one mount does not hold for all; expected tf_static")
+    way = tree.between(world, body) if world else None
+    chain = [*(way or filter(None, (world, body)))]
+    if main not in placed and mount is None and is_world_name(main):
+        raise InputError(
+            f"scans are in {main!r}, a frame of the world, which nothing relates to {body!r}; expected scans in the "
+            "frame of the sensor, or --mount if they are"
+        )
+    if main not in placed:
+        known[frame == main] = True
+        T_mount, source = np.eye(4), f"no tf_static from {body} to {main or 'the sensor'}: identity assumed"
+        T_mount, source = (T_mount, source) if mount is None else (mount, "as given")
+        chain, moved = [*chain, f"{main or 'the sensor'} ({source.rpartition(': ')[2]})"], np.zeros(len(frame), bool)
+    else:
+        is_world = _is_of_world(tree, world, placed[main].frames)
+        first = np.flatnonzero((frame == main) & known)[:1]
+        T_mount = np.eye(4) if is_world or not len(first) else T_drone_scan[first[0]]
+        source = _source(tree, body, main, placed[main], is_world)
+        moved = (T_drone_scan != T_mount).any(axis=(1, 2))
+        chain += [f"{main}, by the poses"] if is_world else placed[main].frames[1:]
+    more = [name for name in placed if name != main]
+    notes = [f"scans are in frames {', '.join([main, *more])}; all are given in that of {main}"] if more else []
+    notes += [f"scans in {', '.join(map(repr, others))} are left out: no transform to {main}"] if others else []
+    stamps = np.where(known, stamp_s, np.nan)
+    T_sensor_scan = np.linalg.inv(T_mount) @ T_drone_scan
+    return Frames(T_mount, stamps, T_sensor_scan, moved, optical, source, " → ".join(chain), tuple(notes))
+
+
+def _is_of_world(tree: Tree, world: str, frames: tuple[str, ...]) -> bool:
+    """Whether the way from the drone to the scans leads to the world, so that their points are in it.
+
+    Raises `InputError` if it leads on to something else that moves.
+    """
+    if world not in frames:
+        return tree.moves(frames) and frames[-1] in tree.above(frames[0])
+    beyond = list(frames[frames.index(world) :])
+    if tree.moves(beyond) and beyond[-1] not in tree.above(world):
+        other = f"--poses '{world}>{beyond[1]}'"
+        raise InputError(f"poses are of {frames[0]}, but {frames[-1]} moves without it; expected its own ({other})")
+    return True
+
+
+def _source(tree: Tree, body: str, name: str, placed: Placement, is_world: bool) -> str:
+    """Where the mount comes from, in words."""
+    if is_world:
+        return f"points are in {name}, brought back to {body} by the poses: identity"
+    if len(placed.frames) == 1:
+        return f"scans are in the drone's frame {body}"
+    if placed.moves:
+        return f"tf {body} → {name} moves: points are given where it is at the first scan"
+    return f"{'tf_static' if tree.is_static(placed.frames) else 'tf'} {body} → {name}"
+
+
+def drone_axes(frame: str) -> Array:
+    """Rotation ``(4, 4)`` from the drone's axes to a frame's: optical axes by its name (REP 103), else the identity."""
+    return T_OPTICAL_SENSOR if is_optical(frame) else np.eye(4)
+
+
+def is_optical(frame: str) -> bool:
+    """Whether a frame has optical axes by its name."""
+    return frame.endswith(("_optical_frame", "_optical"))

@@ -1,0 +1,119 @@
+"""ROS messages → arrays: points of PointCloud2 and of depth images, cameras, poses, stamps."""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from steelnb.core.errors import InputError
+from steelnb.core.types import Array
+from steelnb.io.layouts import DEPTHS, POINT_TYPES, cloud_layout, depth_layout, no_return, xyz_fields
+
+CLOUD, IMAGE, CAMERA = "sensor_msgs/msg/PointCloud2", "sensor_msgs/msg/Image", "sensor_msgs/msg/CameraInfo"
+COMPRESSED_IMAGE, IMU, PATH = "sensor_msgs/msg/CompressedImage", "sensor_msgs/msg/Imu", "nav_msgs/msg/Path"
+ODOMETRY, POSE_STAMPED = "nav_msgs/msg/Odometry", "geometry_msgs/msg/PoseStamped"
+POSE_COVARIANCE, TRANSFORM = "geometry_msgs/msg/PoseWithCovarianceStamped", "geometry_msgs/msg/TransformStamped"
+TF = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
+INTEGER_M = 1e-3
+"""Unit of integers: REP 118 says so for depth, and PointCloud2 has no unit."""
+
+
+class CameraInfo(NamedTuple):
+    """A CameraInfo: ``K (3, 3)`` of an image of ``width × height`` pixels, binned by ``binning``; ``roi`` is the part
+    that is sent, as x, y, width, height in unbinned pixels."""
+
+    K: Array
+    width: int
+    height: int
+    binning: tuple[int, int]
+    roi: tuple[int, int, int, int]
+
+
+@np.errstate(invalid="ignore", over="ignore")
+def cloud_points(message: Any) -> Array:
+    """Points of a PointCloud2, metres: ``(H, W, 3)`` if it is organised, else ``(N, 3)``. Invalid points are NaN rows.
+
+    Raises `InputError` for missing fields and for sizes that no reading reconciles with the data.
+    """
+    shape, strides, order, _ = cloud_layout(message)
+    points = np.empty((*shape, 3))
+    for k, field in enumerate(xyz_fields(message) if points.size else ()):
+        kind = np.dtype(order + POINT_TYPES[field.datatype])
+        raw = np.ndarray(shape, kind, message.data, field.offset, strides)
+        points[..., k] = raw
+        if kind.kind != "f":
+            points[..., k] *= INTEGER_M
+            points[..., k][no_return(raw)] = np.nan
+    points[~np.isfinite(points[..., 0] + points[..., 1] + points[..., 2])] = np.nan
+    return points if min(shape) > 1 else points.reshape(-1, 3)
+
+
+@np.errstate(invalid="ignore", over="ignore")
+def depth_points(image: Any, camera: CameraInfo) -> Array:
+    """Points ``(H, W, 3)`` of a depth image in optical axes, metres, NaN where there is no depth; distortion is left.
+
+    No depth is 0, less, NaN, infinite, or the largest integer. Raises `InputError` for contradicting sizes.
+    """
+    shape, strides, order, _ = depth_layout(image)
+    raw = np.ndarray(shape, order + DEPTHS[image.encoding], image.data, strides=strides)
+    depth = raw * np.float64(1.0 if raw.dtype.kind == "f" else INTEGER_M)
+    depth[~((depth > 0) & np.isfinite(depth)) | no_return(raw)] = np.nan
+    K, _ = camera_matrix(camera, *shape)
+    right = (np.arange(image.width) - K[0, 2]) / K[0, 0]
+    down = (np.arange(image.height) - K[1, 2]) / K[1, 1]
+    return np.stack([depth * right, depth * down[:, None], depth], axis=-1)
+
+
+def camera_of(message: Any) -> CameraInfo:
+    """The camera of a CameraInfo; ROS 1 writes its K in upper case."""
+    roi = message.roi
+    return CameraInfo(
+        np.array(getattr(message, "k", getattr(message, "K", None)), dtype=float).reshape(3, 3),
+        int(message.width), int(message.height), (max(int(message.binning_x), 1), max(int(message.binning_y), 1)),
+        (int(roi.x_offset), int(roi.y_offset), int(roi.width), int(roi.height)),
+    )  # fmt: skip
+
+
+def camera_matrix(camera: CameraInfo, height: int, width: int) -> tuple[Array, str]:
+    """``K (3, 3)`` of an image of this size, and a note if it differs from that of its CameraInfo.
+
+    Region, binning and a whole ratio of sizes are accounted for as in ROS's image_geometry. Raises `InputError`.
+    """
+    K, (x, y, part_width, part_height) = camera.K.copy(), camera.roi
+    if not (np.isfinite(K).all() and K[0, 0] > 0 and K[1, 1] > 0):
+        raise InputError(f"CameraInfo with focal lengths {K[0, 0]:g}, {K[1, 1]:g}; expected a calibrated camera")
+    whole = camera.width, camera.height
+    is_central = 0 <= K[0, 2] <= width and 0 <= K[1, 2] <= height  # all that can be checked without a size
+    if whole == (width, height) or (whole == (0, 0) and is_central):
+        return K, ""
+    part = (part_width, part_height) if part_width and part_height else whole
+    for begin, size, binning in (((x, y), part, camera.binning), ((0, 0), whole, (1, 1))):
+        binned = size[0] // binning[0], size[1] // binning[1]
+        for up, down in ((binned, (width, height)), ((width, height), binned)):
+            ratio = up[0] // max(down[0], 1)
+            if ratio and up == (ratio * down[0], ratio * down[1]):
+                scale = np.array(binning) * (ratio if up is binned else 1 / ratio)
+                K[:2, 2] -= begin
+                K[:2] /= scale[:, None]
+                return K, f"image of {width} × {height}, CameraInfo of {whole[0]} × {whole[1]}: its K is scaled"
+    raise InputError(
+        f"image of {width} × {height}, CameraInfo of {whole[0]} × {whole[1]}; expected the same size or a whole ratio"
+    )
+
+
+def pose_numbers(message: Any, kind: str) -> list[float]:
+    """Position and quaternion xyzw of a message with a pose."""
+    if kind == TRANSFORM:
+        return numbers(message.transform.translation, message.transform.rotation)
+    pose = message.pose if kind == POSE_STAMPED else message.pose.pose
+    return numbers(pose.position, pose.orientation)
+
+
+def stamp_of(message: Any) -> float:
+    """Stamp in the header, seconds."""
+    stamp = message.header.stamp
+    return float((stamp.sec * 10**9 + stamp.nanosec) / 10**9)
+
+
+def numbers(*parts: Any) -> list[float]:
+    """Components of vectors and quaternions in one list."""
+    return [float(getattr(part, axis)) for part in parts for axis in "xyzw" if hasattr(part, axis)]

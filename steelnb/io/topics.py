@@ -1,0 +1,89 @@
+"""Which topics of a bag hold the scans and the poses: those of a suitable type, or those that the user names."""
+
+import re
+from pathlib import Path
+from typing import NamedTuple
+
+from steelnb.core.errors import InputError
+from steelnb.io import messages as ros
+from steelnb.io.containers import Container
+from steelnb.io.layouts import DEPTHS
+
+SCANS = "clouds (PointCloud2 or depth images)"
+
+
+class PoseSource(NamedTuple):
+    """Where the poses of the drone come from: a trajectory ``file``; or transforms, which ``uses_tf`` says, between
+    the ``pair`` of world and drone if it is named; or the only one of ``topics``. ``tf``: topics of transforms."""
+
+    tf: tuple[str, ...]
+    uses_tf: bool = False
+    topics: tuple[str, ...] = ()
+    file: str = ""
+    pair: tuple[str, str] | None = None
+
+
+def scan_topic(bag: Container, name: str | None) -> str:
+    """The topic of the scans. Raises `InputError`."""
+    clouds, packed = bag.of_type(ros.CLOUD), [t for t in bag.of_type(ros.COMPRESSED_IMAGE) if "depth" in t.lower()]
+    images, faults = depth_images(bag, name) if name or not clouds else ([], [])
+    candidates = [*clouds, *images] if name else clouds or images
+    if name in packed or (packed and not candidates):
+        raise InputError(
+            f"{bag.path}: {name or packed[0]} is a compressed depth image; expected a raw one, which "
+            "`ros2 run image_transport republish compressedDepth raw` makes (ROS 1: rosrun)"
+        )
+    if faults and not candidates:
+        raise faults[0]
+    return bag.choose(SCANS, name, candidates)
+
+
+def depth_images(bag: Container, name: str | None) -> tuple[list[str], list[InputError]]:
+    """Image topics that are named or whose first message is a depth image, and faults of first messages."""
+    found, faults = [], []
+    for topic in bag.of_type(ros.IMAGE):
+        try:
+            encoding = bag.decode(next(bag.messages(topic))).encoding
+        except InputError as fault:
+            faults.append(fault)
+            continue
+        is_grey = encoding == "mono16" and "depth" not in topic.lower()  # images in the infrared are mono16, too
+        if topic == name or (encoding in DEPTHS and not is_grey):
+            found.append(topic)
+    return found, faults
+
+
+def pose_source(bag: Container, name: str | None, scans: str) -> PoseSource:
+    """The source of the poses for the topic of the scans. Raises `InputError`.
+
+    By default the only topic of Odometry or PoseStamped, else tf, else the only one of another type with poses.
+    """
+    tf = _tf_topics(bag, scans)
+    first = bag.of_type(ros.ODOMETRY, ros.POSE_STAMPED)
+    others = bag.of_type(ros.POSE_COVARIANCE, ros.TRANSFORM, ros.PATH)
+    if name in bag.of_type(*ros.TF):
+        space = name.rpartition("/")[0]
+        return PoseSource(tuple(t for t in bag.of_type(*ros.TF) if t.rpartition("/")[0] == space), uses_tf=True)
+    if name and name not in bag.types:
+        if Path(name).is_file():
+            return PoseSource(tf, file=name)
+        if pair := re.fullmatch(r"(?:tf )?\s*/?([^>→]+?)\s*(?:>|→)\s*/?([^>→]+?)\s*", name):
+            return PoseSource(tf, uses_tf=True, pair=(pair[1], pair[2]))
+    if name or first:
+        return PoseSource(tf, topics=(bag.choose("poses", name, [*first, *others] if name else first),))
+    if tf:
+        return PoseSource(tf, uses_tf=True, topics=tuple(others) if len(others) == 1 else ())
+    return PoseSource(tf, topics=(bag.choose("poses", None, others),))
+
+
+def camera_topic(bag: Container, images: str, cameras: list[str]) -> str:
+    """The topic of the camera of some images: the one nearest by name. Raises `InputError`."""
+    folder = images.rpartition("/")[0]
+    near = [name for name in cameras if name.rpartition("/")[0] in (folder, folder.rpartition("/")[0])]
+    return bag.choose(f"CameraInfo of {images}", None, near or cameras)
+
+
+def _tf_topics(bag: Container, scans: str) -> tuple[str, ...]:
+    """Topics of transforms: of several namespaces those that the scans are in, since drones have frames alike."""
+    found = bag.of_type(*ros.TF)
+    return tuple([topic for topic in found if scans.startswith(f"{topic.rpartition('/')[0]}/")] or found)

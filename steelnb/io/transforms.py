@@ -1,0 +1,189 @@
+"""The tree of frames of a recording, from tf_static and tf: relations of frames over time, and the drone's frames."""
+
+from collections import defaultdict, deque
+from collections.abc import Sequence
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from steelnb.core.errors import InputError
+from steelnb.core.types import Array, Trajectory
+from steelnb.io.trajectories import interpolate
+
+WORLDS = ("odom", "world", "map", "camera_init")
+"""Usual names of the frame of poses, the preferred first (REP 105): poses in odom drift but do not jump."""
+BODIES = ("base_link", "body", "base", "fcu", "base_footprint")
+"""Usual names of the drone's frame, the preferred first (REP 105)."""
+STILL = 1e-9
+"""A transform on tf that varies by less is static: ROS 1 repeats static ones there."""
+
+
+class Edge(NamedTuple):
+    """A transform from child to parent: ``T_parent_child (4, 4)`` of one that does not move, ``path`` of one on tf, and
+    whether it ``moves`` along it."""
+
+    T_parent_child: Array
+    path: Trajectory | None
+    moves: bool
+
+
+class Placement(NamedTuple):
+    """``T_target_source (N, 4, 4)`` at some stamps, and whether the recording covers each ``(N,)``; ``frames`` from
+    target to source; ``moves``: whether a transform between them does."""
+
+    T_target_source: Array
+    known: NDArray[np.bool_]
+    frames: tuple[str, ...]
+    moves: bool
+
+
+class Tree:
+    """Transforms between frames. A frame may have several parents, such as odom and map."""
+
+    def __init__(self) -> None:
+        self.edges: dict[tuple[str, str], Edge] = {}
+
+    def add(self, parent: str, child: str, path: Trajectory, is_static: bool = False) -> None:
+        """Add a transform at some stamps, the last of which counts if it is static."""
+        T = path.T_world_drone
+        moves = not is_static and bool(np.ptp(T, axis=0).max() > STILL)
+        if moves or (parent, child) not in self.edges:
+            self.edges[parent, child] = Edge(T[-1], None if is_static else path, moves)
+
+    @property
+    def frames(self) -> set[str]:
+        """Names of all frames."""
+        return {frame for edge in self.edges for frame in edge}
+
+    def resolve(self, frame: str) -> str:
+        """The frame of this name or, if there is none, the only one of this name in a namespace or without one."""
+        same = [each for each in self.frames if _last(each) == _last(frame)]
+        return same[0] if frame not in self.frames and len(same) == 1 and frame else frame
+
+    def between(self, target: str, source: str) -> list[str] | None:
+        """Frames of the shortest way from ``target`` to ``source``, or None if nothing relates them."""
+        near = defaultdict(list)
+        for parent, child in self.edges:
+            near[parent].append(child)
+            near[child].append(parent)
+        ways, queue = {target: [target]}, deque([target])
+        while queue and source not in ways:
+            frame = queue.popleft()
+            for each in near[frame]:
+                if each not in ways:
+                    ways[each] = [*ways[frame], each]
+                    queue.append(each)
+        return ways.get(source)
+
+    def moves(self, frames: Sequence[str]) -> bool:
+        """Whether a transform along a way between frames moves."""
+        return any(self.edges[key].moves for key, _ in self._steps(frames))
+
+    def is_static(self, frames: Sequence[str]) -> bool:
+        """Whether all transforms along a way between frames are from tf_static."""
+        return all(self.edges[key].path is None for key, _ in self._steps(frames))
+
+    def place(self, target: str, source: str, stamp_s: Array) -> Placement | None:
+        """Where ``source`` is in ``target`` at some stamps ``(N,)``, or None if nothing relates them."""
+        frames = self.between(target, source)
+        if frames is None:
+            return None
+        T, known = np.tile(np.eye(4), (len(stamp_s), 1, 1)), np.ones(len(stamp_s), bool)
+        for key, is_down in self._steps(frames):
+            edge = self.edges[key]
+            step, covered = edge.T_parent_child[None], known
+            if edge.moves and edge.path is not None:
+                step, covered = interpolate(edge.path, stamp_s)
+            T, known = T @ (step if is_down else np.linalg.inv(step)), known & covered
+        return Placement(T, known, tuple(frames), self.moves(frames))
+
+    def poses(self, world: str, body: str) -> Trajectory:
+        """Poses of ``body`` in ``world`` at the stamps of the fastest transform between them that moves."""
+        keys = [key for key, _ in self._steps(self.between(world, body) or [])]
+        self.move_still(keys)
+        moving = [edge.path.stamp_s for key in keys if (edge := self.edges[key]).moves and edge.path is not None]
+        if not moving:
+            listed = ", ".join(sorted(self.frames)) or "none"
+            raise InputError(f"no poses of {body!r} in {world!r} on tf; expected two of its frames: {listed}")
+        found = self.place(world, body, max(moving, key=len))
+        assert found is not None
+        if not found.known.any():
+            raise InputError(f"the transforms from {world} to {body} are never known at the same time")
+        return Trajectory(max(moving, key=len)[found.known], found.T_target_source[found.known])
+
+    def drone(self, sensor: str) -> tuple[str, str]:
+        """Names of the world and of the drone's frame that carries ``sensor``. Raises `InputError` with the choices."""
+        self.move_still([key for key in self.edges if is_world_name(key[0])])
+        above = {frame: self.above(frame) for frame in self.frames}
+        bodies = [frame for frame in above if any(self.moves(way) for way in above[frame].values())]
+        bodies = [frame for frame in bodies if frame in above.get(sensor, {})] or bodies
+        if not bodies:
+            raise InputError("no transform on tf moves; expected one from the world to the drone")
+        names = [name for name in BODIES if name in {_last(body) for body in bodies}]
+        if names:
+            bodies = [body for body in bodies if _last(body) == names[0]]
+        else:  # a frame that moves itself, not one fixed to it, and no odom below a map
+            bodies = [body for body in bodies if any(self.edges[key].moves for key in self.edges if key[1] == body)]
+            bodies = [body for body in bodies if not is_world_name(body)] or bodies
+        beside = [body for body in bodies if body.rpartition("/")[0] == sensor.rpartition("/")[0]]
+        bodies = beside or bodies
+        choices = [(world, body) for body in bodies for world in self._worlds(above[body])]
+        if len(choices) == 1:
+            return choices[0]
+        listed = [f"{world}>{body}" for world, body in sorted(choices)]
+        raise InputError(
+            f"several frames may be the drone's: {', '.join(listed)}; expected one (--poses '{listed[0]}')"
+        )
+
+    def body_of(self, sensor: str) -> str:
+        """The frame with a drone's usual name that carries ``sensor``, or the first such name if there is none."""
+        named = [frame for frame in self.above(sensor) if _last(frame) in BODIES]
+        return min(named, key=lambda frame: BODIES.index(_last(frame)), default=BODIES[0])
+
+    def _worlds(self, above: dict[str, list[str]]) -> list[str]:
+        """Of the frames above the drone, with the way to each, those that its poses may be in."""
+        moving = [frame for frame, way in above.items() if self.moves(way)]
+        best = min(_rank(_last(frame)) for frame in moving)
+        if best < len(WORLDS):
+            named = [frame for frame in moving if _rank(_last(frame)) == best]
+            return named[:1] if len({_last(frame) for frame in named}) == 1 else named
+        children = {child for _, child in self.edges}
+        return [frame for frame in moving if frame not in children] or moving
+
+    def move_still(self, keys: list[tuple[str, str]]) -> None:
+        """Of a recording in which nothing moves, take transforms on tf for moving ones."""
+        if not any(edge.moves for edge in self.edges.values()):
+            self.edges |= {key: self.edges[key]._replace(moves=self.edges[key].path is not None) for key in keys}
+
+    def above(self, frame: str) -> dict[str, list[str]]:
+        """A frame and its ancestors, with the way up to each."""
+        ways, queue = {frame: [frame]}, deque([frame])
+        while queue:
+            child = queue.popleft()
+            for parent, each in self.edges:
+                if each == child and parent not in ways:
+                    ways[parent] = [*ways[child], parent]
+                    queue.append(parent)
+        return ways
+
+    def _steps(self, frames: Sequence[str]) -> list[tuple[tuple[str, str], bool]]:
+        """Parent and child of each transform along a way between frames, and whether the way goes down to the child."""
+        pairs = pairwise(frames)
+        return [((a, b), True) if (a, b) in self.edges else ((b, a), False) for a, b in pairs]
+
+
+def _last(frame: str) -> str:
+    """Name of a frame without its namespace."""
+    return frame.rpartition("/")[2]
+
+
+def is_world_name(frame: str) -> bool:
+    """Whether a frame has the usual name of one in which poses are."""
+    return _rank(_last(frame)) < len(WORLDS)
+
+
+def _rank(name: str) -> int:
+    """Place of a name in `WORLDS`, of which odom_combined has that of odom; their number if it is none."""
+    return next((k for k, each in enumerate(WORLDS) if name == each or name.startswith(f"{each}_")), len(WORLDS))

@@ -1,0 +1,82 @@
+"""Clocks of recordings: wrong stamps, clocks of no use, and scans that are off the poses."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from steelnb.core.errors import InputError
+from steelnb.io import read_flight
+from steelnb.io.clocks import far_stamps, rising_stamps
+from tests.io.samples import Bagged, poses
+
+EPOCH_S = 1_700_000_000.0
+TIMES = np.round(EPOCH_S + 0.2 * np.arange(8), 9)
+
+
+def bag_of(path, scan_s, pose_s=TIMES):
+    """A bag whose messages are recorded at `TIMES`, with other stamps of scans and poses."""
+    bag, trajectory = Bagged(path), poses(8, begin_s=EPOCH_S)
+    bag.clouds(stamps=scan_s).odometry(trajectory=type(trajectory)(pose_s, trajectory.T_world_drone))
+    bag.rows = [(topic, kind, TIMES[k % 8], message) for k, (topic, kind, _, message) in enumerate(bag.rows)]
+    return bag.write()
+
+
+@pytest.mark.parametrize("at", [0, 4, 7])
+@pytest.mark.parametrize("wrong_s", [0.0, 12.5, EPOCH_S - 60, EPOCH_S + 60, 2_085_978_496.0])
+@pytest.mark.parametrize("what", ["scan", "pose"])
+def test_one_wrong_stamp_costs_one_message(tmp_path, at, wrong_s, what):
+    stamps = TIMES.copy()
+    stamps[at] = wrong_s
+    flight = read_flight(bag_of(tmp_path / "a.mcap", *((stamps, TIMES) if what == "scan" else (TIMES, stamps))))
+    kept = np.delete(TIMES, at)
+    if what == "pose" and at == 4:  # interpolated between its neighbours
+        kept = TIMES
+    np.testing.assert_array_equal(flight.prior.stamp_s, kept)
+    assert any(reason.startswith(f"{what} whose stamp is far from the time of recording") for reason in flight.skipped)
+
+
+def test_the_clock_that_most_stamps_have_counts(tmp_path):
+    jump = np.where(np.arange(8) < 3, TIMES - EPOCH_S + 30, TIMES)
+    flight = read_flight(bag_of(tmp_path / "a.bag", jump, jump))
+    np.testing.assert_array_equal(flight.prior.stamp_s, TIMES[3:])
+
+
+@pytest.mark.parametrize("stamps", [np.zeros(8), 12.5 + 0.1 * np.arange(8), TIMES[::-1]])
+def test_a_clock_of_no_use_is_refused_and_that_of_the_bag_can_be_taken(tmp_path, stamps):
+    path = bag_of(tmp_path / "a.mcap", stamps)
+    with pytest.raises(InputError, match=r"a.mcap: .*--clock bag takes the times of recording"):
+        read_flight(path)
+    np.testing.assert_array_equal(read_flight(path, clock="bag").prior.stamp_s, TIMES)
+
+
+def test_scans_can_be_shifted_against_poses(tmp_path):
+    path = bag_of(tmp_path / "a.mcap", TIMES - 3600.1)
+    np.testing.assert_allclose(read_flight(path, time_offset_s=3600.1).prior.stamp_s, TIMES, atol=1e-6)
+    for options in ({"clock": "sun"}, {"time_offset_s": np.nan}):
+        with pytest.raises(InputError, match="expected stamps or bag, and finite seconds"):
+            read_flight(path, **options)
+
+
+@pytest.mark.parametrize("speed", [0.1, 1.0, 20.0])
+def test_a_simulated_clock_of_any_speed_is_right(speed):
+    log_s = EPOCH_S + 0.1 * np.arange(600)
+    assert not far_stamps(speed * 0.1 * np.arange(600), log_s).any()
+
+
+def test_stamps_that_go_on_while_the_recording_paused_are_right():
+    stamp_s = 0.1 * np.arange(600)
+    assert not far_stamps(stamp_s, EPOCH_S + stamp_s + 60 * (stamp_s > 40)).any()
+
+
+@given(st.lists(st.integers(0, 6), max_size=9), st.booleans())
+def test_the_longest_rising_series_is_kept(stamps, strictly):
+    found = rising_stamps(np.array(stamps, dtype=float), strictly)
+    steps = np.diff(np.array(stamps)[found])
+    assert (steps > 0).all() if strictly else (steps >= 0).all()
+    best = [1] * len(stamps)
+    for k, stamp in enumerate(stamps):
+        for j in range(k):
+            if stamps[j] < stamp or (stamps[j] == stamp and not strictly):
+                best[k] = max(best[k], best[j] + 1)
+    assert len(found) == max(best, default=0)

@@ -1,0 +1,232 @@
+"""Points of PointCloud2 and depth images whose sizes, byte order, types or camera contradict the data."""
+
+import copy
+import warnings
+from functools import partial
+
+import numpy as np
+import pytest
+
+from steelnb.core.errors import InputError
+from steelnb.io import read_flight
+from steelnb.io.bag_writer import Messages
+from steelnb.io.layouts import DEPTHS, cloud_layout, depth_layout
+from steelnb.io.messages import CameraInfo, camera_matrix, cloud_points, depth_points
+from steelnb.io.recordings import FAR_M, Scans
+from tests.io.samples import POINTS, Bagged
+
+MAKE = Messages(2)
+K = np.array([[60.0, 0, 40], [0, 60, 30], [0, 0, 1]])
+CAMERA = CameraInfo(K, 80, 60, (1, 1), (0, 0, 0, 0))
+
+
+def cloud(points=POINTS, kind="<f4", pad=0, **changed):
+    """A PointCloud2 of any type of numbers, with ``pad`` bytes after each row."""
+    message = MAKE.cloud(0, points)
+    rows = np.ascontiguousarray(points.reshape(message.height, -1), dtype=kind)
+    data = np.pad(rows.view(np.uint8), ((0, 0), (0, pad)))
+    codes = {"i1": 1, "u1": 2, "i2": 3, "u2": 4, "i4": 5, "u4": 6, "f4": 7, "f8": 8}
+    size = np.dtype(kind).itemsize
+    for k, field in enumerate(message.fields):
+        field.offset, field.datatype = k * size, codes[kind[1:]]
+    message.point_step, message.row_step, message.data = 3 * size, data.shape[1], data.reshape(-1)
+    for name, value in changed.items():
+        setattr(message, name, value)
+    return message
+
+
+def depth(kind="<u2", encoding="16UC1", /, **changed):
+    """A depth image of a wall around 2.5 m, and its depth in metres."""
+    depth_m = 2.5 + 0.05 * np.random.default_rng(0).random((60, 80))
+    pixels = (depth_m * (1000 if "u" in kind else 1)).astype(kind)
+    message = Bagged.image(type("", (), {"make": MAKE}), pixels, encoding)
+    for name, value in changed.items():
+        setattr(message, name, value)
+    return message, pixels.astype(float) / (1000 if "u" in kind else 1)
+
+
+@pytest.mark.parametrize(
+    ("changed", "note"),
+    [
+        ({"row_step": 0}, "row_step 0 is read as 60"),
+        ({"row_step": 5}, "row_step 5 is read as 60"),
+        ({"row_step": 240}, "row_step 240 is read as 60"),
+        ({"row_step": 2**32 - 1}, "row_step 4294967295 is read as 60"),
+        ({"point_step": 0}, "point_step 0 is read as 12"),
+        ({"point_step": 4}, "point_step 4 is read as 12"),
+        ({"is_bigendian": True}, "is_bigendian is True, but only as little-endian"),
+        ({"kind": ">f4"}, "is_bigendian is False, but only as big-endian"),
+        ({"kind": ">f4", "is_bigendian": True}, ""),
+        ({"kind": "<f8"}, ""),
+        ({"pad": 4}, ""),
+    ],
+)
+def test_a_cloud_with_one_sensible_reading_is_read_so_and_it_is_noted(changed, note):
+    message = cloud(**changed)
+    np.testing.assert_array_equal(cloud_points(message), POINTS)
+    notes = cloud_layout(message).notes
+    assert notes[0].startswith(note) if note else not notes
+
+
+@pytest.mark.parametrize(
+    "changed",
+    [
+        {"width": 6}, {"height": 8}, {"point_step": 16}, {"width": 2**32 - 1, "height": 2**32 - 1},
+        {"height": 0, "width": 0}, {"row_step": 0, "pad": 4}, {"row_step": 60, "pad": 4},
+    ],
+)  # fmt: skip
+def test_a_cloud_with_no_sensible_reading_is_a_fault(changed):
+    with pytest.raises(InputError):
+        cloud_points(cloud(**changed))
+
+
+def test_fields_are_checked():
+    for change, words in {
+        "datatype": "fields x, y, z; expected x, y and z of a numeric type",
+        "offset": "fields x, y, z at bytes 5, 4, 8 overlap",
+    }.items():
+        message = cloud()
+        setattr(message.fields[0], change, {"datatype": 9, "offset": 5}[change])
+        with pytest.raises(InputError, match=words):
+            cloud_points(message)
+    message = cloud()
+    message.fields[2].offset = 9
+    with pytest.raises(InputError, match="point_step 12: expected 13 bytes or more"):
+        cloud_points(message)
+
+
+@pytest.mark.parametrize("kind", ["<i2", "<u2", "<i4", ">i4", "<u4"])
+def test_integers_are_millimetres_and_their_largest_value_is_no_return(kind):
+    points = np.rint(1000 * POINTS / 10)
+    points[1, 2] = np.iinfo(kind).max
+    message = cloud(points, kind, is_bigendian=kind[0] == ">")
+    expected = points / 1000
+    expected[1, 2] = np.nan
+    np.testing.assert_allclose(cloud_points(message), expected)
+    assert "taken as millimetres" in cloud_layout(message).notes[0]
+
+
+def test_points_farther_than_any_sensor_sees_are_no_returns_or_a_fault():
+    few, most = POINTS.copy(), POINTS * 1e6
+    few[0, 0, 1] = np.finfo(np.float32).max
+    scans = Scans(lambda _: iter([lambda: few, lambda: most]), np.arange(2), np.arange(2.0))
+    first, second = scans
+    assert np.isnan(first.points[0, 0]).all()
+    assert np.isfinite(first.points).sum() == POINTS.size - 3
+    assert second.fault == "unreadable scan: 20 points beyond 1e+06 m"
+
+
+@pytest.mark.parametrize("encoding", DEPTHS)
+def test_depth_has_encodings_sizes_and_byte_orders(encoding):
+    kind = DEPTHS[encoding]
+    for order, flag in (("<", 0), (">", 1), ("<", 1), (">", 0)):
+        message, depth_m = depth(order + kind, encoding, is_bigendian=flag)
+        points = depth_points(message, CAMERA)
+        np.testing.assert_allclose(points[..., 2], depth_m)
+        assert any("is_bigendian" in note for note in depth_layout(message).notes) == ((order == ">") != flag)
+    message, depth_m = depth("<" + kind, encoding, step=0)
+    np.testing.assert_allclose(depth_points(message, CAMERA)[..., 2], depth_m)
+    for changed in ({"height": 61}, {"width": 0}, {"encoding": "rgb8"}, {"data": message.data[:-1]}):
+        with pytest.raises(InputError):
+            depth_points(depth("<" + kind, encoding, **changed)[0], CAMERA)
+
+
+def test_an_encoding_of_another_size_than_the_pixels_is_a_fault():
+    message, _ = depth("<f4", "32FC1", encoding="16UC1")
+    with pytest.raises(InputError, match="step 320 is 4 bytes a pixel, and 16UC1 has 2"):
+        depth_points(message, CAMERA)
+
+
+@pytest.mark.parametrize(("kind", "encoding"), [("<u2", "16UC1"), ("<f4", "32FC1")])
+def test_no_depth_has_many_spellings(kind, encoding):
+    message, _ = depth(kind, encoding)
+    pixels = message.data.view(kind).reshape(60, 80)
+    no_return = [0, 65535] if kind == "<u2" else [0, np.nan, np.inf, -np.inf, -1]
+    pixels[0, : len(no_return)] = no_return
+    points = depth_points(message, CAMERA)
+    assert np.isnan(points).all(axis=-1).sum() == len(no_return)
+    assert np.nanmax(points) < 3
+
+
+@pytest.mark.parametrize(
+    ("width", "height", "binning", "roi", "expected"),
+    [
+        (80, 60, (1, 1), (0, 0, 0, 0), K),
+        (0, 0, (1, 1), (0, 0, 0, 0), K),
+        (640, 480, (1, 1), (0, 0, 0, 0), K / [[8], [8], [1]]),
+        (40, 30, (1, 1), (0, 0, 0, 0), K * [[2], [2], [1]]),
+        (160, 120, (2, 2), (0, 0, 0, 0), K / [[2], [2], [1]]),
+        (160, 120, (1, 1), (10, 20, 80, 60), K - [[0, 0, 10], [0, 0, 20], [0, 0, 0]]),
+        (400, 400, (2, 2), (10, 20, 160, 120), (K - [[0, 0, 10], [0, 0, 20], [0, 0, 0]]) / [[2], [2], [1]]),
+        (640, 400, (1, 1), (0, 0, 0, 0), None),
+        (120, 90, (1, 1), (0, 0, 0, 0), None),
+    ],
+)
+def test_the_camera_is_that_of_the_images_size_or_refused(width, height, binning, roi, expected):
+    camera = CameraInfo(K, width, height, binning, roi)
+    if expected is None:
+        with pytest.raises(InputError, match="expected the same size or a whole ratio"):
+            camera_matrix(camera, 60, 80)
+    else:
+        np.testing.assert_allclose(camera_matrix(camera, 60, 80)[0], expected)
+    with pytest.raises(InputError, match="focal lengths 0"):
+        camera_matrix(camera._replace(K=np.zeros((3, 3))), 60, 80)
+
+
+def test_contradictions_are_told_once_and_a_flight_without_a_readable_scan_is_refused(tmp_path):
+    bag = Bagged(tmp_path / "a.mcap").clouds().odometry()
+    clouds = [message for _, _, _, message in bag.rows if hasattr(message, "row_step")]
+    for message in clouds:
+        message.row_step = 0
+    assert read_flight(bag.write()).facts["notes"] == "row_step 0 is read as 60, which fits the data"
+    for message in clouds:
+        message.width = 6
+    bag.path = tmp_path / "b.mcap"
+    with pytest.raises(InputError, match=r"b.mcap: none of 5 scans can be read; the first: .*240 bytes of data"):
+        read_flight(bag.write())
+
+
+def test_depth_images_are_told_from_grey_and_compressed_ones(tmp_path):
+    depth_mm = np.full((2, 3), 2000, "<u2")
+    one = Bagged(tmp_path / "a.mcap").images("/depth/image", depth_mm, "mono16").images("/thermal", depth_mm, "mono16")
+    flight = read_flight(one.camera().odometry().write())
+    assert flight.facts["scans"] == "/depth/image (Image)"
+    assert flight.facts["notes"] == "encoding mono16 is read as 16UC1, millimetres"
+    packed = Bagged(tmp_path / "b.mcap").odometry()
+    message = MAKE.make(
+        "sensor_msgs/msg/CompressedImage", MAKE.header(0, "c"), "16UC1; compressedDepth png", np.zeros(4, np.uint8)
+    )
+    packed.rows.append(("/depth/compressedDepth", "sensor_msgs/msg/CompressedImage", 0.0, message))
+    with pytest.raises(InputError, match=r"/depth/compressedDepth is a compressed depth image; expected a raw one"):
+        read_flight(packed.write())
+
+
+def test_mutated_headers_end_in_points_or_in_a_fault():
+    rng = np.random.default_rng(0)
+    odd = [0, 1, 2, 3, 5, 7, 12, 13, 16, 60, 61, 240, 241, 65535, 2**31, 2**32 - 1]
+
+    def mutated(message):
+        message = copy.deepcopy(message)
+        for _ in range(rng.integers(1, 4)):
+            names = [name for name in vars(message) if isinstance(getattr(message, name), int)] + ["data", "fields"]
+            name, value = str(rng.choice(names)), int(rng.choice(odd))
+            if name == "data":
+                size = len(message.data)
+                noise = rng.integers(0, 256, size).astype(np.uint8)
+                message.data = noise if rng.random() < 0.3 else message.data[: rng.integers(0, size + 1)]
+            elif name != "fields":
+                setattr(message, name, value)
+            elif hasattr(message, "fields"):
+                setattr(message.fields[rng.integers(3)], str(rng.choice(["offset", "datatype"])), value)
+        return message
+
+    clouds, images = [cloud(), cloud(POINTS[0]), cloud(kind="<f8")], [depth()[0], depth("<f4", "32FC1")[0]]
+    decoders = [partial(cloud_points, mutated(clouds[k % 3])) for k in range(300)]
+    decoders += [partial(depth_points, mutated(images[k % 2]), CAMERA) for k in range(300)]
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        scans = list(Scans(lambda _: iter(decoders), np.arange(600), np.arange(600.0)))
+    read = [scan.points for scan in scans if not scan.fault]
+    assert 50 < len(read) < 550
+    assert max(np.nanmax(np.abs(points)) for points in read) <= FAR_M
+    assert max(points.size for points in read) <= 3 * 4800
