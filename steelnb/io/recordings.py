@@ -1,6 +1,5 @@
 """Reader of recorded flights: bags, and folders of clouds with a trajectory. The truth is read separately."""
 
-import re
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
@@ -11,10 +10,9 @@ import numpy as np
 from steelnb.core.errors import InputError
 from steelnb.core.types import Array, Flight, Imu, IntArray, Scan, Trajectory
 from steelnb.io.bag_reader import CAMERA, CLOUD, IMU, ODOMETRY, POSE_STAMPED, TF, Bag, is_bag
-from steelnb.io.clouds import READERS, read_points
+from steelnb.io.folders import TRUE, named_file, open_clouds
 from steelnb.io.trajectories import interpolate, read_trajectory
 
-TRUE = ("groundtruth.tum", "groundtruth.txt")
 Walk = Callable[[IntArray], Iterator[Callable[[], Array]]]
 """Iterator over the decoders of the scans with these increasing numbers."""
 
@@ -44,7 +42,7 @@ def read_flight(
         raise InputError(f"{path}: does not exist; expected a recording")
     if not path.is_dir() and not is_bag(path):
         raise InputError(f"{path}: ending {path.suffix!r}; expected .bag, .mcap, .db3 or a folder")
-    opened = (_open_bag if is_bag(path) else _open_clouds)(path, scans, poses)
+    opened = (_open_bag if is_bag(path) else open_clouds)(path, scans, poses)
     stamp_s, walk, prior, mount, facts, imu, skipped = opened
     if T_drone_sensor is not None:
         mount, facts["mount"] = T_drone_sensor, "as given"
@@ -72,7 +70,7 @@ def read_truth(path: Path | str, *, truth: str | None = None) -> Trajectory | No
     if truth is None:
         candidates = [truth_path(path), *(path / name for name in TRUE)]
         return next((read_trajectory(file) for file in candidates if file.is_file()), None)
-    return read_trajectory(_named_file(path, truth))
+    return read_trajectory(named_file(path, truth))
 
 
 def truth_path(path: Path) -> Path:
@@ -137,64 +135,3 @@ def _open_bag(path: Path, scans: str | None, poses: str | None) -> _Parts:
     facts |= {"imu": imu_topics[0]} if imu_topics else {}
     imu = bag.imu(imu_topics[0], body) if imu_topics else None
     return bag.stamp_s(scan_topic), partial(bag.walk, scan_topic, to_points), prior, mount, facts, imu, bag.skipped
-
-
-def _open_clouds(path: Path, scans: str | None, poses: str | None) -> _Parts:
-    """Open a folder of clouds with a trajectory."""
-    skipped = Counter[str]()
-    files = _cloud_files(path / scans if scans else path)
-    trajectory = _trajectory_file(path, poses)
-    prior = read_trajectory(trajectory, skipped)
-    stamp_s = _stamps_in_names(files)
-    if stamp_s is None:
-        stamp_s = prior.stamp_s
-        if len(prior) != len(files):
-            raise InputError(
-                f"{path}: {len(files)} clouds, no stamps in their names, and {len(prior)} poses in {trajectory.name}; "
-                "expected one pose per cloud, or stamps in the names"
-            )
-    facts = {"scans": f"{len(files)} files", "poses": trajectory.name, "mount": "identity assumed"}
-    walk: Walk = lambda number: (partial(read_points, files[k]) for k in number.tolist())  # noqa: E731
-    return stamp_s, walk, prior, np.eye(4), facts, None, skipped
-
-
-def _cloud_files(folder: Path) -> list[Path]:
-    """The clouds in a folder, sorted by the numbers in their names, 9 before 10. Raises `InputError`."""
-    suffixes = {*READERS} - {".txt"}
-    files = [file for file in folder.glob("[!.]*") if file.suffix.lower() in suffixes]
-    if not files:
-        raise InputError(f"{folder}: no clouds in it; expected files with suffix {', '.join(READERS)}")
-    return sorted(files, key=lambda file: ([float(number) for number in _numbers(file)], file.stem))
-
-
-def _trajectory_file(path: Path, poses: str | None) -> Path:
-    """The file of the drone's poses: the one of this name, or the only one in the folder. Raises `InputError`."""
-    if poses:
-        return _named_file(path, poses)
-    trajectories = [file for file in sorted(path.iterdir()) if file.suffix.lower() in (".tum", ".txt")]
-    found = [file for file in trajectories if file.name not in TRUE]
-    if len(found) != 1:
-        listed = ", ".join(file.name for file in found) or "no trajectory"
-        raise InputError(f"{path}: {listed}; expected one TUM file (.tum, .txt), or the name of one")
-    return found[0]
-
-
-def _stamps_in_names(files: Sequence[Path]) -> Array | None:
-    """Stamps ``(K,)`` from the last numbers in the names, as seconds with a decimal point or as whole nanoseconds, or
-    None if any name has none."""
-    numbers = [(_numbers(file) or [""])[-1] for file in files]
-    if not all("." in number or len(number) >= 16 for number in numbers):
-        return None
-    return np.array([float(number) if "." in number else int(number) / 10**9 for number in numbers])
-
-
-def _numbers(file: Path) -> list[str]:
-    return re.findall(r"\d+(?:\.\d+)?", file.stem)
-
-
-def _named_file(path: Path, name: str) -> Path:
-    """A file by its name, relative to the working directory or to ``path``. Raises `InputError`."""
-    for file in (Path(name), path / name):
-        if file.is_file():
-            return file
-    raise InputError(f"{name}: no such file, here or in {path}; expected a trajectory")
