@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from steelnb.core.errors import InputError
+from steelnb.core.files import display_name
 from steelnb.core.types import Array, Trajectory
 from steelnb.io.clouds import READERS, read_points
 from steelnb.io.trajectories import SECONDS, read_trajectory, unit_of_stamps
@@ -52,9 +53,9 @@ def open_clouds(path: Path, scans: str | None, poses: str | None) -> "_Parts":
             )
     strays = [file for file in strays if file != trajectory and file.name not in TRUE]
     if strays:
-        named = ", ".join(file.name for file in strays[:3]) + (", …" if len(strays) > 3 else "")
+        named = ", ".join(map(display_name, strays[:3])) + (", …" if len(strays) > 3 else "")
         skipped[f"cloud beside the scans ({named})"] += len(strays)
-    facts = {"scans": f"{len(files)} files, {source}", "poses": trajectory.name, "mount": "identity assumed"}
+    facts = {"scans": f"{len(files)} files, {source}", "poses": display_name(trajectory), "mount": "identity assumed"}
     walk: Walk = lambda number: (partial(read_points, files[k]) for k in number.tolist())  # noqa: E731
     return stamp_s, walk, prior, np.eye(4), facts, None, skipped
 

@@ -61,12 +61,17 @@ def read_pcd(path: Path) -> Array:
         if header.chosen(len(points)) != len(points):
             raise ValueError(f"{len(points)} lines of points; its header says {header.chosen(len(points))}")
     elif header.encoding == "binary":
-        points = xyz_of(data, header.chosen(len(data) // stride), stride, fields)
+        count = header.chosen(len(data) // max(stride, 1))
+        points = xyz_of(data, count, stride, fields)
+        if len(data) - count * stride >= stride and any(data[count * stride :]):
+            raise ValueError(
+                f"{len(data)} bytes of points; expected {count} of {stride} bytes each, as its header says"
+            )
     elif header.encoding == "binary_compressed":
         if len(data) < 8:
             raise ValueError("no data after its header")
         packed, size = struct.unpack_from("<II", data)
-        count = header.chosen(size // stride)
+        count = header.chosen(size // max(stride, 1))
         if packed > len(data) - 8 or size > LZF_RATIO_MAX * packed or size != count * stride:
             raise ValueError(
                 f"{len(data) - 8} bytes hold {packed}, and {size} uncompressed; expected {count} × {stride}"

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from steelnb.core.errors import InputError
+from steelnb.core.files import display_name
 from steelnb.core.types import Array, Flight, Imu, IntArray, Scan, Trajectory
 from steelnb.io.bag_reader import CAMERA, CLOUD, IMU, ODOMETRY, POSE_STAMPED, TF, Bag, is_bag
 from steelnb.io.folders import TRUE, named_file, open_clouds
@@ -57,7 +58,7 @@ def read_flight(
     poses_at = Trajectory(stamp_s[number], T_world_drone[covered])
     skipped_counts = {reason: count for reason, count in skipped.items() if count}
     found = Scans(walk, number, poses_at.stamp_s)
-    return Flight(found, poses_at, mount, imu, path.resolve().name, facts, skipped_counts)
+    return Flight(found, poses_at, mount, imu, display_name(path.resolve()), facts, skipped_counts)
 
 
 def read_truth(path: Path | str, *, truth: str | None = None) -> Trajectory | None:

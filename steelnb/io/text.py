@@ -16,6 +16,7 @@ from steelnb.core.types import Array
 HEAD_BYTES, COLUMNS_MAX = 1 << 16, 1000
 """The form of a table is found in its first bytes; no table of points or poses has so many columns."""
 MARKS = {codecs.BOM_UTF8: "utf-8", codecs.BOM_UTF16_LE: "utf-16-le", codecs.BOM_UTF16_BE: "utf-16-be"}
+WINDOWS_NAN = re.compile(rb"-?1\.#(?:IND|QNAN|SNAN|INF)\d*")
 COMMENT = re.compile(rb"^[ \t]*(?://|%|#)", re.MULTILINE)
 NOT_A_NUMBER = ("", "nan", "NaN", "NAN", "-nan", "-NaN", "nan(ind)", "-nan(ind)", "NA", "N/A", "null", "NULL", "None")
 UNITS = {
@@ -112,6 +113,8 @@ def read_table(path: Path) -> Table:
         if data.startswith(mark):
             data = data.removeprefix(mark)
             data = data if encoding == "utf-8" else data.decode(encoding, "replace").encode()
+    if b"1.#" in data:  # NaN and infinity of some programs for Windows
+        data = WINDOWS_NAN.sub(b"nan", data)
     if b"//" in data or b"%" in data:
         data = COMMENT.sub(b"#", data)
     lines = data[:HEAD_BYTES].splitlines(keepends=True)
@@ -123,7 +126,8 @@ def read_table(path: Path) -> Table:
     comments = [text.lstrip("#").strip() for text in texts[: content[0]] if text.startswith("#")]
     bodies = [texts[k].partition("#")[0].strip() for k in content]
     declared, names = None, None
-    if len(bodies) > 1 and bodies[0].isdecimal() and len(bodies[0]) < 19 and not bodies[1].isdecimal():
+    # A first line with one integer is a count, unless the table has one column.
+    if len(bodies) > 1 and re.fullmatch("[0-9]{1,18}", bodies[0]) and re.search(r"\S[\s,;]+\S", bodies[1]):
         declared = int(bodies[0])
         content, bodies = content[1:], bodies[1:]
     heading = _split(bodies[0], "\t" if "\t" in bodies[0] else _separator(bodies[0])[0])

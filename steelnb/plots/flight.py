@@ -59,7 +59,9 @@ def figure_flight(
     what = "to the recorded poses" if truth is None else "to the truth"
     over_time.set(xlabel="time (s)", ylabel=f"distance {what} (m)", ylim=(0, None))
     gather_legend(figure, ncols=len(paths) + 3, markerscale=8)
-    figure.suptitle(title, fontsize=12)
+    for text in figure.legends[-1].get_texts():
+        text.set_parse_math(False)
+    figure.suptitle(title, fontsize=12, parse_math=False)  # a file may have $ in its name
     return figure
 
 
@@ -92,5 +94,5 @@ def figure_bars(
     space.plot(*project_perspective(shown, cloud).T, "o", ms=0.8, mew=0, color=COLOURS["points"], rasterized=True)
     draw_bars(space, ends, cloud, color=COLOURS["bars found"], lw=1.2)
     frame_perspective(space, cloud)
-    figure.suptitle(title, fontsize=12)
+    figure.suptitle(title, fontsize=12, parse_math=False)  # a file may have $ in its name
     return figure
