@@ -2,7 +2,7 @@
 
 import re
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -28,6 +28,7 @@ STEP_S = 1e-3, 60.0
 OVERLAP_MIN, NS_DIGITS = 0.5, 16
 """Minimum overlap of small stamps with the poses, by which their unit is recognised; integers with so many digits are
 nanoseconds."""
+FRACTIONS = {3: "ms", 6: "µs", 9: "ns"}
 NUMBER = re.compile(r"\d+(?:\.\d+)?")
 
 
@@ -86,8 +87,8 @@ def _scans(folder: Path) -> tuple[list[Path], list[Path]]:
     others = [each for each in forms.values() if each is not chosen]
     if len(chosen) == 1:  # the names have no numbers
         chosen, others = no_tables or files, []
-    for each in others:
-        if len(each) > max(1, STRAY_SHARE * len(chosen)):
+    for each in sorted(others, key=len, reverse=True):
+        if len(each) > max(1, STRAY_SHARE * len(chosen)) or len(files) > 2 * len(chosen):
             raise InputError(
                 f"{folder}: {len(chosen)} clouds such as {chosen[0].name}, and {len(each)} such as {each[0].name}; "
                 "expected names that differ in numbers alone, or one kind a folder"
@@ -118,43 +119,43 @@ def _is_trajectory(file: Path) -> bool:
 
 
 def _stamps(files: Sequence[Path], prior: Trajectory) -> tuple[Array | None, str]:
-    """Stamps ``(K,)`` in seconds from the names, and what they are; None if the names hold no stamps of rising order.
+    """Stamps ``(K,)`` in seconds from the names, and a text on them; None if no number in the names is one.
 
-    They are the last number, as seconds with a decimal point, or as an integer in a unit that fits the poses; or the
-    last two numbers, as seconds and a fraction of nine, six or three digits.
+    A stamp is a number with a decimal point, in seconds; an integer that is a Unix time in s, ms, µs or ns, or in one
+    of these units fits the poses; or two integers, Unix seconds and their decimals. The last such number is chosen.
     """
-    numbers = [NUMBER.findall(file.stem) for file in files]
-    if not all(numbers):
-        return None, ""
-    last = [each[-1] for each in numbers]
-    for values, source in _readings(numbers, last, prior):
-        if len(values) == 1 or ((np.diff(values) >= 0).all() and STEP_S[0] <= np.median(np.diff(values)) <= STEP_S[1]):
-            return values, source
+    numbers = [NUMBER.findall(file.stem)[::-1] for file in files]
+    columns = list(zip(*numbers, strict=False))  # the numbers of each place, the last first
+    for column, before in zip(columns, [*columns[1:], None], strict=False):
+        for stamp_s, units in _readings(column, before, prior):
+            step_s = np.diff(stamp_s)
+            if not len(step_s) or ((step_s >= 0).all() and STEP_S[0] <= np.median(step_s) <= STEP_S[1]):
+                return stamp_s, f"stamped by their names ({units})"
     return None, ""
 
 
-def _readings(numbers: list[list[str]], last: list[str], prior: Trajectory) -> list[tuple[Array, str]]:
-    """What the numbers in the names may mean, the likelier first: stamps in seconds, and a text."""
-    if any("." in number for number in last):
-        return [(np.array([float(number) for number in last]), "stamped by the seconds in their names")]
-    found = []
-    if all(len(each) > 1 for each in numbers):
-        first = np.array([float(each[-2]) for each in numbers])
-        width = max(map(len, last))
-        is_unix = unit_of_stamps(first) == "s"
-        if width <= 9 and (is_unix or {*map(len, last)} == {9}):
-            digits = 3 * -(-width // 3)
-            fraction = np.array([int(number) for number in last]) / 10**digits
-            found.append((first + fraction, f"stamped by the seconds and 1e-{digits} s in their names"))
-    whole = [int(number) for number in last]
-    unit = unit_of_stamps(np.array(whole, dtype=np.float64)) or ("ns" if min(map(len, last)) >= NS_DIGITS else None)
-    units = [unit] if unit else ["ns", "us", "ms"]
-    for each in units:
-        per_second = round(1 / SECONDS[each])
+def _readings(column: Sequence[str], before: Sequence[str] | None, prior: Trajectory) -> Iterator[tuple[Array, str]]:
+    """What the same number of all names, and the one before it, may mean: stamps in seconds, and their units."""
+    if any("." in number for number in column):
+        yield np.array([float(number) for number in column]), "s"
+        return
+    whole = [int(number) for number in column]
+    widths = {len(number) for number in column}
+    digits = next((each for each in (3, 6, 9) if each >= max(widths)), 0)
+    if before and digits and not any("." in number for number in before):
+        is_padded, is_count = widths == {digits}, len(whole) > 1 and set(np.diff(whole)) == {1}
+        seconds = np.array([float(number) for number in before])
+        stamp_s = seconds + np.array(whole) / 10**digits
+        is_time = unit_of_stamps(seconds) == "s" or _overlap(stamp_s, prior.stamp_s) > OVERLAP_MIN
+        if is_time and not is_count and (is_padded or max(widths) > 6):
+            yield stamp_s, f"s and {FRACTIONS[digits]}"
+    unix = unit_of_stamps(np.array(whole, dtype=np.float64))
+    sure = [unix or "", "ns" if min(widths) >= NS_DIGITS else ""]
+    for unit in [unit for unit in sure if unit] + ["ns", "us", "ms"]:
+        per_second = round(1 / SECONDS[unit])
         stamp_s = np.array([number // per_second + number % per_second / per_second for number in whole])
-        if unit or _overlap(stamp_s, prior.stamp_s) > OVERLAP_MIN:
-            found.append((stamp_s, f"stamped by the {each.replace('us', 'µs')} in their names"))
-    return found
+        if unit in sure or _overlap(stamp_s, prior.stamp_s) > OVERLAP_MIN:
+            yield stamp_s, unit.replace("us", "µs")
 
 
 def _overlap(one_s: Array, other_s: Array) -> float:
