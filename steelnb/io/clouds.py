@@ -94,7 +94,7 @@ def read_points(path: Path | str) -> Array:
         points = np.array(read(path), dtype=np.float64)
         if not points.size:
             raise ValueError("no points")
-        largest = np.abs(points).max(axis=-1)
+        largest = np.maximum.reduce([np.abs(points[..., axis]) for axis in range(3)])
         beyond = np.isfinite(largest) & (largest > COORDINATE_MAX_M)
         if beyond.sum() > np.isfinite(largest).sum() / 2:
             raise ValueError(f"{beyond.sum()} points farther than {COORDINATE_MAX_M:.0e} m, as {points[beyond][0]}")

@@ -40,7 +40,10 @@ def read_las(path: Path) -> Array:
         raise ValueError(f"scales {scale.tolist()}, offsets {offset.tolist()}; expected finite numbers, scales above 0")
     data = memoryview(file)[begin:]
     points = _unpack(file, size, begin, records, stride, count) if kind & COMPRESSED else data
-    return xyz_of(points, count, stride, [("<i4", 0), ("<i4", 4), ("<i4", 8)]) * scale + offset
+    xyz = xyz_of(points, count, stride, [("<i4", 0), ("<i4", 4), ("<i4", 8)])
+    xyz *= scale
+    xyz += offset
+    return xyz
 
 
 def _unpack(file: bytes, at: int, begin: int, records: int, stride: int, count: int) -> memoryview:

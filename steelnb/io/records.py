@@ -17,4 +17,7 @@ def xyz_of(data: bytes | memoryview, count: int, stride: int, fields: Sequence[t
     types, offsets = zip(*fields, strict=True)
     record = np.dtype({"names": ["x", "y", "z"], "formats": types, "offsets": offsets, "itemsize": stride})
     table = np.frombuffer(data, record, count)
-    return np.stack([table[axis].astype(np.float64) for axis in "xyz"], axis=-1)
+    points = np.empty((count, 3))
+    for k, axis in enumerate("xyz"):
+        points[:, k] = table[axis]
+    return points

@@ -4,6 +4,7 @@ import codecs
 import csv
 import io
 import re
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -70,11 +71,13 @@ class Table:
             self._check((), rows)  # pandas would fill up short lines, in much memory
         rows = rows if rows is None else min(rows, len(self.data))
         try:
-            table = pd.read_csv(
-                io.BytesIO(self.data), sep=self.separator.replace(" ", r"\s+"), decimal=self.decimal, header=None,
-                comment="#", nrows=rows, dtype=dict.fromkeys(wanted, np.float64), keep_default_na=False,
-                na_values=NOT_A_NUMBER, low_memory=False, encoding_errors="replace",
-            )  # fmt: skip
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")  # about texts among the numbers of other columns
+                table = pd.read_csv(
+                    io.BytesIO(self.data), sep=self.separator.replace(" ", r"\s+"), decimal=self.decimal, header=None,
+                    comment="#", nrows=rows, dtype=dict.fromkeys(wanted, np.float64), keep_default_na=False,
+                    na_values=NOT_A_NUMBER, encoding_errors="replace",
+                )  # fmt: skip
         except (ValueError, OverflowError):  # pandas names neither the line nor the text
             self._check(wanted, rows)
             raise ValueError("no lines of numbers that can be read") from None
@@ -113,9 +116,9 @@ def read_table(path: Path) -> Table:
         if data.startswith(mark):
             data = data.removeprefix(mark)
             data = data if encoding == "utf-8" else data.decode(encoding, "replace").encode()
-    if b"1.#" in data:  # NaN and infinity of some programs for Windows
+    if b"#" in data:  # NaN and infinity of some programs for Windows
         data = WINDOWS_NAN.sub(b"nan", data)
-    if b"//" in data or b"%" in data:
+    if b"/" in data or b"%" in data:
         data = COMMENT.sub(b"#", data)
     lines = data[:HEAD_BYTES].splitlines(keepends=True)
     lines = lines[:-1] if len(data) > HEAD_BYTES and len(lines) > 1 else lines
