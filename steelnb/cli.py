@@ -1,5 +1,6 @@
 """The command line: thin commands, and one line per error. Heavy imports wait until a command runs."""
 
+import io
 import signal
 import sys
 import tomllib
@@ -10,7 +11,7 @@ import typer
 
 import steelnb
 from steelnb.core.errors import InputError, SteelnbError
-from steelnb.core.files import check_folder
+from steelnb.core.files import check_folder, display_name
 from steelnb.core.terminal import progress, warn
 
 EXIT_CODES = """\b
@@ -40,6 +41,9 @@ Force = Annotated[bool, typer.Option("--force", metavar=NO_VALUE, help="Overwrit
 
 def main(arguments: list[str] | None = None) -> int:
     """Run the command line and return the exit code."""
+    for stream in (sys.stdout, sys.stderr):  # a name, or a sign such as °, that the terminal cannot show becomes ?
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="replace")
     signal.signal(signal.SIGTERM, lambda number, _: sys.exit(128 + number))  # removes hidden folders
     return call(app, "steelnb", arguments or sys.argv[1:] or ["--help"])
 
@@ -136,7 +140,7 @@ def run(
         recording_settings(**options)  # raises for bad options before a file is opened
         target = output or Path(f"{recording.resolve().stem}_run")
         check_folder(target, force)
-        other = (estimate.name, read_trajectory(estimate)) if estimate else None
+        other = (display_name(estimate), read_trajectory(estimate)) if estimate else None
         on_stage(f"opening {recording.name}")
         clocks: dict[str, Any] = {"clock": clock, "time_offset_s": time_offset}
         flight = read_flight(recording, scans=scans, poses=poses, T_drone_sensor=parse_mount(mount), **clocks)

@@ -2,6 +2,7 @@
 
 import os
 import tempfile
+import unicodedata
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -33,6 +34,12 @@ def damaged(path: Path | str, form: str) -> Iterator[None]:
     except Exception as fault:
         message = " ".join(str(fault).replace(str(path), "it").split())[:200] or type(fault).__name__
         raise InputError(f"{path}: not {form}: {message}") from None
+
+
+def display_name(path: Path | str) -> str:
+    """The name of a file for texts and pictures: bytes that are no UTF-8, and control signs, become �."""
+    name = os.path.basename(path)
+    return "".join("\N{REPLACEMENT CHARACTER}" if unicodedata.category(c) in ("Cc", "Cs") else c for c in name)
 
 
 def check_folder(target: Path, overwrite: bool) -> None:

@@ -1,6 +1,6 @@
-"""Reader of point files: NPY, PLY (trimesh), PCD (Open3D), LAS and LAZ (laspy), and text (pandas)."""
+"""Reader of point files: NPY, PLY, PCD, LAS, LAZ and text. What it does not understand is refused, not guessed."""
 
-import re
+import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,9 +11,12 @@ import pandas as pd
 
 from steelnb.core.errors import InputError
 from steelnb.core.files import reading
-from steelnb.core.lazy_open3d import import_open3d
 from steelnb.core.types import Array
 from steelnb.hough.lines import spacing
+from steelnb.io.las import read_las
+from steelnb.io.pcd import read_pcd
+from steelnb.io.ply import read_ply
+from steelnb.io.text import read_table
 
 SHIFT_FROM_M, SHIFT_STEP_M = 1e4, 100.0
 """A cloud whose mean is farther than `SHIFT_FROM_M` from zero is shifted by multiples of `SHIFT_STEP_M`. UTM
@@ -21,14 +24,26 @@ coordinates are that large, coordinates of a site are not."""
 EXTENT_MAX_M, SPACING_MAX_M = 500.0, 1.0
 """A cloud that exceeds both extent and spacing is probably in millimetres: no scanner is that sparse."""
 
+COORDINATE_MAX_M = 1e8
+"""No coordinate is larger: the earth is 4e7 m around. Drivers write such numbers for no return."""
+CHANNELS_MAX = 16
+"""An array (3, N) has more columns than this, an array (N, 3 or more) at most as many."""
+AXIS = ("(?:pos|position|point|coord|coordinate|p|points_m_xyz|cartesian)_?{}", "{}_?(?:coord|coordinate|pos)")
+OTHER_AXES = {
+    "x": "e|east|easting|points_0",
+    "y": "n|north|northing|points_1",
+    "z": "elevation|height|altitude|points_2",
+}
+"""Names of columns: of an axis, around its letter, and other words for it."""
+
 
 @dataclass(frozen=True)
 class Cloud:
     """Distinct finite points of a file.
 
     ``points (N, 3)`` in metres are relative to ``origin (3,)``: add it to results derived from them. The origin is zero
-    unless the coordinates are large (UTM), and a multiple of 100 m. ``invalid`` counts the dropped points with a NaN or
-    infinite coordinate, ``duplicates`` the dropped exact duplicates.
+    unless the coordinates are large (UTM), and a multiple of 100 m. ``invalid`` counts the dropped points with a
+    coordinate that is NaN, infinite or beyond `COORDINATE_MAX_M`, ``duplicates`` the dropped exact duplicates.
     """
 
     points: Array
@@ -41,7 +56,7 @@ class Cloud:
 
 
 def read_cloud(path: Path | str) -> Cloud:
-    """Read the points of a NPY, PLY, PCD, LAS, LAZ or text file (XYZ, TXT, CSV), chosen by the suffix.
+    """Read the points of a NPY, PLY, PCD, LAS, LAZ or text file (XYZ, TXT, CSV, ASC, PTS), chosen by the suffix.
 
     Raises `InputError` for a missing, truncated or invalid file, fewer than two distinct points, and a cloud that seems
     to be in millimetres.
@@ -67,17 +82,23 @@ def read_cloud(path: Path | str) -> Cloud:
 def read_points(path: Path | str) -> Array:
     """Points of one file, float64, metres: ``(N, 3)``, or ``(H, W, 3)`` of an organised cloud (PCD, NPY).
 
-    Invalid points are NaN rows. Raises `InputError`.
+    Invalid points, and those beyond `COORDINATE_MAX_M`, are NaN rows. A file in which most points are beyond is
+    damaged. Raises `InputError`.
     """
     path = Path(path)
     read = READERS.get(path.suffix.lower())
     if read is None:
         raise InputError(f"{path}: ending {path.suffix!r}; expected one of {', '.join(READERS)}")
-    with reading(path, f"a {path.suffix[1:].upper()} file of points"):
+    with reading(path, f"a {path.suffix[1:].upper()} file of points"), warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of NumPy, about files of Python 2
         points = np.array(read(path), dtype=np.float64)
-        if points.ndim not in (2, 3) or points.shape[-1] != 3 or not points.size:
-            raise ValueError(f"an array of shape {points.shape}")
-    points[~np.isfinite(points).all(axis=-1)] = np.nan
+        if not points.size:
+            raise ValueError("no points")
+        largest = np.maximum.reduce([np.abs(points[..., axis]) for axis in range(3)])
+        beyond = np.isfinite(largest) & (largest > COORDINATE_MAX_M)
+        if beyond.sum() > np.isfinite(largest).sum() / 2:
+            raise ValueError(f"{beyond.sum()} points farther than {COORDINATE_MAX_M:.0e} m, as {points[beyond][0]}")
+    points[~(largest <= COORDINATE_MAX_M)] = np.nan
     return points
 
 
@@ -88,47 +109,44 @@ def shift_of(mean: Array) -> Array:
     return SHIFT_STEP_M * np.round(mean / SHIFT_STEP_M)
 
 
-def _read_ply(path: Path) -> Any:
-    import trimesh
-
-    loaded: Any = trimesh.load(path, process=False)
-    (count,) = re.findall(rb"^element vertex (\d+)", path.read_bytes(), re.MULTILINE)[:1]
-    if len(loaded.vertices) != int(count):
-        raise ValueError(f"{len(loaded.vertices)} points, {int(count)} in the header")
-    return loaded.vertices
-
-
-def _read_pcd(path: Path) -> Any:
-    """Open3D returns no points for a truncated binary file, and zeros for the missing lines of a text file."""
-    o3d = import_open3d()
-    header, _, data = path.read_bytes().partition(b"\nDATA ")
-    columns, rows, count = (int(n) for n in re.findall(rb"^(?:WIDTH|HEIGHT|POINTS)\s+(\d+)", header, re.MULTILINE))
-    with o3d.utility.VerbosityContextManager(o3d.utility.VerbosityLevel.Error):
-        cloud = o3d.t.io.read_point_cloud(str(path), format="pcd")
-    lines = len(data.splitlines()) - 1 if data.startswith(b"ascii") else count
-    if "positions" not in cloud.point or not lines == len(cloud.point.positions) == count:
-        raise ValueError(f"truncated, or without x, y and z; {count} points in the header")
-    return cloud.point.positions.numpy().reshape((rows, columns, 3) if rows > 1 else (-1, 3))
-
-
-def _read_las(path: Path) -> Any:
-    import laspy
-
-    las = laspy.read(path)
-    if len(las.points) != las.header.point_count:
-        raise ValueError(f"{len(las.points)} points, {las.header.point_count} in the header")
-    return las.xyz
+def _read_npy(path: Path) -> Any:
+    """Mapped, since then NumPy compares the size with the file before it allocates."""
+    try:
+        stored = np.load(path, mmap_mode="r", allow_pickle=False)
+    except Exception:
+        raise ValueError("damaged, truncated, or not of numbers; expected an array by numpy.save") from None
+    if not isinstance(stored, np.ndarray) or (stored.dtype.names is None and stored.dtype.kind not in "fiu"):
+        raise ValueError(f"{getattr(stored, 'dtype', 'an archive')}; expected numbers")
+    if stored.dtype.names is not None:
+        if not {"x", "y", "z"} <= {*stored.dtype.names}:
+            raise ValueError(f"fields {', '.join(stored.dtype.names)[:80]}; expected x, y and z")
+        return np.stack([stored[axis].astype(np.float64) for axis in "xyz"], axis=-1)
+    if stored.ndim in (2, 3) and stored.shape[0] in (3, 4) and stored.shape[-1] > CHANNELS_MAX:
+        stored = np.moveaxis(stored, 0, -1)  # one row an axis
+    elif stored.ndim == 2 and len(stored) in (3, 4) and stored.shape != (4, 3):
+        raise ValueError(f"an array of shape {stored.shape}: its rows may be points or axes; expected (N, 3)")
+    if stored.ndim not in (2, 3) or not 3 <= stored.shape[-1] <= CHANNELS_MAX:
+        raise ValueError(f"an array of shape {stored.shape}; expected (N, 3) or (H, W, 3)")
+    return stored[..., :3]
 
 
 def _read_text(path: Path) -> Any:
-    """x, y and z in the first three columns, separated by blanks (in a CSV by commas); ``#`` starts a comment."""
-    separator = "," if path.suffix.lower() == ".csv" else r"\s+"
-    return pd.read_csv(path, sep=separator, header=None, usecols=[0, 1, 2], comment="#", dtype=np.float64).to_numpy()
+    """x, y and z, or east, north and height, by the names of the columns; without names the first three."""
+    table = read_table(path)
+    number = [table.find(axis, *(form.format(axis) for form in AXIS), other) for axis, other in OTHER_AXES.items()]
+    if None in number:
+        if table.has_header or any(each is not None for each in number):
+            raise ValueError(f"columns {', '.join(table.names)[:80]}; expected x, y and z")
+        number = [0, 1, 2]
+        if table.columns < 3:
+            raise ValueError(f"{table.columns} numbers in line {table.first}; expected x, y and z")
+    elif other := {table.units[k] for k in number if k is not None} - {"", "m"}:
+        raise ValueError(f"x, y and z in {', '.join(sorted(other))}; expected metres")
+    return table.values([k for k in number if k is not None])
 
 
 READERS: Mapping[str, Callable[[Path], Any]] = {
-    ".npy": lambda path: np.load(path, allow_pickle=False)[..., :3],
-    ".ply": _read_ply, ".pcd": _read_pcd, ".las": _read_las, ".laz": _read_las,
-    ".xyz": _read_text, ".txt": _read_text, ".csv": _read_text,
+    ".npy": _read_npy, ".ply": read_ply, ".pcd": read_pcd, ".las": read_las, ".laz": read_las,
+    ".xyz": _read_text, ".txt": _read_text, ".csv": _read_text, ".asc": _read_text, ".pts": _read_text,
 }  # fmt: skip
 """Reader of each suffix."""

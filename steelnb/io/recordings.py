@@ -1,22 +1,20 @@
 """Reader of recorded flights: bags, and folders of clouds with a trajectory. The truth is read separately."""
 
-import re
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
-from functools import partial
 from pathlib import Path
 
 import numpy as np
 
 from steelnb.core.errors import InputError
+from steelnb.core.files import display_name
 from steelnb.core.types import Array, Flight, Imu, IntArray, Scan, Trajectory
 from steelnb.io.bags import Clock, open_bag
 from steelnb.io.clocks import rising_stamps
-from steelnb.io.clouds import READERS, read_points
 from steelnb.io.containers import bags_in, is_bag
+from steelnb.io.folders import TRUE, named_file, open_clouds
 from steelnb.io.trajectories import interpolate, read_trajectory
 
-TRUE = ("groundtruth.tum", "groundtruth.txt")
 CLOCKS = ("stamps", "bag")
 RISING_MIN = 0.5
 """If fewer of the stamps rise, the clock is of no use."""
@@ -70,7 +68,7 @@ def read_flight(
             )
         if bags := bags_in(path):
             raise InputError(f"{path}: bags in it: {', '.join(bags)}; expected one of them")
-        opened = _open_clouds(path, scans, poses)
+        opened = open_clouds(path, scans, poses)
         opened = opened[0] + time_offset_s, *opened[1:]
     stamp_s, walk, prior, mount, facts, imu, skipped = opened
     if T_drone_sensor is not None:
@@ -90,7 +88,7 @@ def read_flight(
     skipped_counts = {reason: count for reason, count in skipped.items() if count}
     found = Scans(walk, number, poses_at.stamp_s)
     _check_scans(path, found)
-    return Flight(found, poses_at, mount, imu, path.resolve().name, facts, skipped_counts)
+    return Flight(found, poses_at, mount, imu, display_name(path.resolve()), facts, skipped_counts)
 
 
 def _check_scans(path: Path, scans: "Scans") -> None:
@@ -113,7 +111,7 @@ def read_truth(path: Path | str, *, truth: str | None = None) -> Trajectory | No
     if truth is None:
         candidates = [truth_path(path), *(path / name for name in TRUE)]
         return next((read_trajectory(file) for file in candidates if file.is_file()), None)
-    return read_trajectory(_named_file(path, truth))
+    return read_trajectory(named_file(path, truth))
 
 
 def truth_path(path: Path) -> Path:
@@ -164,64 +162,3 @@ def _scan(stamp_s: float, decode: Callable[[], Array]) -> Scan:
 
 _Parts = tuple[Array, Walk, Trajectory, Array, dict[str, str], Imu | None, Counter[str]]
 """Stamps of all scans, the scans, poses of the drone, mount, facts, IMU, and counts of what was skipped."""
-
-
-def _open_clouds(path: Path, scans: str | None, poses: str | None) -> _Parts:
-    """Open a folder of clouds with a trajectory."""
-    skipped = Counter[str]()
-    files = _cloud_files(path / scans if scans else path)
-    trajectory = _trajectory_file(path, poses)
-    prior = read_trajectory(trajectory, skipped)
-    stamp_s = _stamps_in_names(files)
-    if stamp_s is None:
-        stamp_s = prior.stamp_s
-        if len(prior) != len(files):
-            raise InputError(
-                f"{path}: {len(files)} clouds, no stamps in their names, and {len(prior)} poses in {trajectory.name}; "
-                "expected one pose per cloud, or stamps in the names"
-            )
-    facts = {"scans": f"{len(files)} files", "poses": trajectory.name, "mount": "identity assumed"}
-    walk: Walk = lambda number: (partial(read_points, files[k]) for k in number.tolist())  # noqa: E731
-    return stamp_s, walk, prior, np.eye(4), facts, None, skipped
-
-
-def _cloud_files(folder: Path) -> list[Path]:
-    """The clouds in a folder, sorted by the numbers in their names, 9 before 10. Raises `InputError`."""
-    suffixes = {*READERS} - {".txt"}
-    files = [file for file in folder.glob("[!.]*") if file.suffix.lower() in suffixes]
-    if not files:
-        raise InputError(f"{folder}: no clouds in it; expected files with suffix {', '.join(READERS)}")
-    return sorted(files, key=lambda file: ([float(number) for number in _numbers(file)], file.stem))
-
-
-def _trajectory_file(path: Path, poses: str | None) -> Path:
-    """The file of the drone's poses: the one of this name, or the only one in the folder. Raises `InputError`."""
-    if poses:
-        return _named_file(path, poses)
-    trajectories = [file for file in sorted(path.iterdir()) if file.suffix.lower() in (".tum", ".txt")]
-    found = [file for file in trajectories if file.name not in TRUE]
-    if len(found) != 1:
-        listed = ", ".join(file.name for file in found) or "no trajectory"
-        raise InputError(f"{path}: {listed}; expected one TUM file (.tum, .txt), or the name of one")
-    return found[0]
-
-
-def _stamps_in_names(files: Sequence[Path]) -> Array | None:
-    """Stamps ``(K,)`` from the last numbers in the names, as seconds with a decimal point or as whole nanoseconds, or
-    None if any name has none."""
-    numbers = [(_numbers(file) or [""])[-1] for file in files]
-    if not all("." in number or len(number) >= 16 for number in numbers):
-        return None
-    return np.array([float(number) if "." in number else int(number) / 10**9 for number in numbers])
-
-
-def _numbers(file: Path) -> list[str]:
-    return re.findall(r"\d+(?:\.\d+)?", file.stem)
-
-
-def _named_file(path: Path, name: str) -> Path:
-    """A file by its name, relative to the working directory or to ``path``. Raises `InputError`."""
-    for file in (Path(name), path / name):
-        if file.is_file():
-            return file
-    raise InputError(f"{name}: no such file, here or in {path}; expected a trajectory")

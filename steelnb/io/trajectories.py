@@ -1,5 +1,6 @@
-"""Trajectories in the TUM format, and their interpolation."""
+"""Trajectories in text files, and their interpolation."""
 
+import re
 from collections import Counter
 from pathlib import Path
 
@@ -10,21 +11,131 @@ from scipy.spatial.transform import Rotation
 from steelnb.core.errors import InputError
 from steelnb.core.files import reading
 from steelnb.core.types import Array, Trajectory
+from steelnb.io.clouds import COORDINATE_MAX_M
+from steelnb.io.text import Table, read_table
 
 GAP_MAX_S = 0.5, 2.0
 """Bounds of the longest gap that is interpolated. A drone may turn and stop in a longer one."""
 
+SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+UNIX_S, STEP_MAX_S = (9e8, 4.3e9), 1e4
+"""Unix times of 1998 to 2106; a longer median interval of poses shows that the stamps are not seconds."""
+ROTATION_TOLERANCE = 1e-2
+STAMPS = ("(?:.*_)?header_stamp", "(?:time_?)?stamp", "(?:.*_)?(?:time|stamp|timestamp)|t|")
+"""Patterns of the names of stamps, the preferred first; "" stands for names that are units, such as sec and nsec."""
+TUM = ("stamp", "x", "y", "z", "qx", "qy", "qz", "qw")
+QUATERNION = TUM[4:]
+ROLES = {
+    axis: (axis, f"[pt]_?{axis}|pos_{axis}|p_.*_{axis}", f"(?:.*_)?(?:position|translation)_{axis}") for axis in "xyz"
+} | {
+    role: (f"q_?{role[1]}|q_.*_{role[1]}", f"(?:.*_)?(?:quat|quaternion|orientation|rotation)_{role[1]}")
+    for role in QUATERNION
+}
+"""Patterns of the names of columns for each number of a pose, the preferred first."""
+
 
 def read_trajectory(path: Path | str, skipped: Counter[str] | None = None) -> Trajectory:
-    """Read a TUM file: lines of ``stamp x y z qx qy qz qw``, seconds and metres; ``#`` starts a comment.
+    """Read the poses of a text file, in metres.
+
+    By the names of its columns, if it has them: a stamp, x, y, z, and qx, qy, qz, qw, or roll, pitch and yaw (turned
+    about z, then y, then x) with their unit: CSV of other programs, EuRoC. Else lines of ``stamp x y z qx qy qz qw``
+    (TUM), or of the twelve numbers of ``T_world_drone[:3]`` with the stamps in times.txt beside it (KITTI). Stamps are
+    seconds, or Unix times in a smaller unit, or in the unit that their name gives.
 
     Dropped poses are counted in ``skipped``. Raises `InputError`.
     """
-    with reading(path, "a TUM trajectory (stamp x y z qx qy qz qw)"):
-        rows = np.loadtxt(path, ndmin=2)
-        if rows.shape[1] != 8:
-            raise ValueError(f"{rows.shape[1]} numbers per line")
+    path = Path(path)
+    with reading(path, "a TUM trajectory (stamp x y z qx qy qz qw) or one with names of columns"):
+        table = read_table(path)
+        if table.columns == 12 and not any(re.fullmatch(STAMPS[-1], name) for name in table.names):
+            rows = _kitti(path, table)
+        else:
+            number = {role: table.find(*patterns) for role, patterns in ROLES.items()}
+            rows = _named(table, number) if any(k is not None for k in number.values()) else _tum(table)
+        if len(rows) > 1 and (step := abs(float(np.median(np.diff(rows[:, 0]))))) > STEP_MAX_S:
+            raise ValueError(
+                f"stamps {step:.4g} s apart; expected seconds, or their unit in the column's name (stamp_ns)"
+            )
     return trajectory_of(path, rows, Counter() if skipped is None else skipped)
+
+
+def unit_of_stamps(stamps: Array) -> str | None:
+    """The unit in which these are Unix times of this century: s, ms, us or ns; None for other stamps."""
+    typical = float(np.median(np.abs(stamps[np.isfinite(stamps)]))) if np.isfinite(stamps).any() else 0.0
+    return next((unit for unit, s in SECONDS.items() if UNIX_S[0] <= typical * s <= UNIX_S[1]), None)
+
+
+def _seconds(stamps: Array, unit: str) -> Array:
+    """``unit``: "" if not given."""
+    if unit and unit not in SECONDS:
+        raise ValueError(f"stamps in {unit}; expected one of {', '.join(SECONDS)}")
+    return stamps * SECONDS[unit or unit_of_stamps(stamps) or "s"]
+
+
+def _tum(table: Table) -> Array:
+    if table.columns != 8:
+        raise ValueError(f"{table.columns} numbers per line, without names; expected 8, or 12 with times.txt beside it")
+    if table.has_header:
+        raise ValueError(f"columns {', '.join(table.names)[:80]}; expected {', '.join(TUM)}")
+    rows = table.values(range(8))
+    rows[:, 0] = _seconds(rows[:, 0], "")
+    return rows
+
+
+def _kitti(path: Path, table: Table) -> Array:
+    beside = path.with_name("times.txt")
+    if not beside.is_file():
+        raise ValueError("12 numbers per line (KITTI) without stamps; expected them in times.txt beside it")
+    T, stamps = table.values(range(12)).reshape(-1, 3, 4), read_table(beside).values([0])
+    R = T[:, :, :3]
+    if len(T) != len(stamps):
+        raise ValueError(f"{len(T)} poses, {len(stamps)} stamps in times.txt; expected as many")
+    if np.abs(R @ R.transpose(0, 2, 1) - np.eye(3)).max() > ROTATION_TOLERANCE or (np.linalg.det(R) < 0).any():
+        raise ValueError("12 numbers per line, not rotations with translations (KITTI)")
+    return np.column_stack([_seconds(stamps[:, 0], ""), T[:, :, 3], Rotation.from_matrix(R).as_quat()])
+
+
+def _named(table: Table, number: dict[str, int | None]) -> Array:
+    """Rows of ``stamp x y z qx qy qz qw`` from the columns that their names show, in any order."""
+    stamp, angles = _stamp_columns(table), [table.find(rf"(?:.*_)?{name}") for name in ("roll", "pitch", "yaw")]
+    by_angles = None not in angles and number["qw"] is None
+    turned = angles if by_angles else [number[role] for role in QUATERNION]
+    missing = [role for role, k in number.items() if k is None and (role in "xyz" or not by_angles)]
+    missing = missing if stamp else ["stamp", *missing]
+    if missing:
+        raise ValueError(
+            f"columns {', '.join(table.names)[:120]}, none for {', '.join(missing)}; expected {', '.join(TUM)}"
+        )
+    position = [k for axis in "xyz" if (k := number[axis]) is not None]
+    if other := {table.units[k] for k in position} - {"", "m"}:
+        raise ValueError(f"x, y and z in {', '.join(sorted(other))}; expected metres")
+    values = table.values([*stamp, *position, *(k for k in turned if k is not None)])
+    stamp_s = _seconds(values[:, 0], table.units[stamp[0]])
+    if len(stamp) == 2:
+        stamp_s, values = values[:, 0] + values[:, 1] * SECONDS[table.units[stamp[1]]], values[:, 1:]
+    if not by_angles:
+        return np.column_stack([stamp_s, values[:, 1:]])
+    units = {table.units[k] for k in angles if k is not None}
+    if units not in ({"deg"}, {"rad"}):
+        raise ValueError("roll, pitch and yaw without their unit; expected names such as roll_deg or roll_rad")
+    finite, xyzw = np.isfinite(values).all(axis=1), np.full((len(values), 4), np.nan)
+    yaw_pitch_roll = values[finite][:, [6, 5, 4]]
+    xyzw[finite] = Rotation.from_euler("ZYX", yaw_pitch_roll, degrees=units == {"deg"}).as_quat()
+    return np.column_stack([stamp_s, values[:, 1:4], xyzw])
+
+
+def _stamp_columns(table: Table) -> list[int]:
+    """The column of the stamps, or two: of whole seconds, and of the nanoseconds (or micro-) after them."""
+    for pattern in STAMPS:
+        found = [k for k, name in enumerate(table.names) if re.fullmatch(pattern, name)]
+        found.sort(key=lambda k: table.units[k] != "s")
+        if len(found) == 2 and table.units[found[0]] == "s" and table.units[found[1]] in SECONDS:
+            whole, part = table.values(found).T
+            if (whole == np.round(whole)).all() and part.max() * SECONDS[table.units[found[1]]] < 1:
+                return found
+        if found:
+            return found[:1]
+    return []
 
 
 def write_tum(path: Path | str, trajectory: Trajectory) -> None:
@@ -36,11 +147,12 @@ def write_tum(path: Path | str, trajectory: Trajectory) -> None:
 def trajectory_of(path: Path | str, rows: Array, skipped: Counter[str]) -> Trajectory:
     """Poses sorted by stamp from ``rows (N, 8)``: stamp, position and quaternion xyzw, not necessarily unit.
 
-    Rows with numbers that are not finite, zero quaternions and repeated stamps are dropped and counted in ``skipped``.
-    Raises `InputError` if no pose remains.
+    Rows with numbers that are not finite, positions beyond `COORDINATE_MAX_M`, zero quaternions and repeated stamps
+    are dropped and counted in ``skipped``. Raises `InputError` if no pose remains.
     """
     largest = np.abs(rows[:, 4:]).max(axis=1, initial=0.0)
-    valid = np.flatnonzero(np.isfinite(rows).all(axis=1) & (largest > 1e-6))
+    is_place = np.abs(rows[:, 1:4]).max(axis=1, initial=0.0) <= COORDINATE_MAX_M
+    valid = np.flatnonzero(np.isfinite(rows).all(axis=1) & is_place & (largest > 1e-6))
     _, first = np.unique(rows[valid, 0], return_index=True)
     chosen = valid[first]
     skipped["pose that is not finite, has a zero quaternion or a repeated stamp"] += len(rows) - len(chosen)

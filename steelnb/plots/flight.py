@@ -19,7 +19,7 @@ from steelnb.plots import (
     project_perspective,
     thinned,
 )
-from steelnb.plots.style import style
+from steelnb.plots.style import drawable, style
 
 POINTS_MAX = 60_000
 VIEWS = (0, 2, 1), (1, 2, 0), (0, 1, 2)
@@ -51,15 +51,17 @@ def figure_flight(
     if truth is not None:
         space.plot(*project_perspective(truth.position, around).T, color=COLOURS["truth"], lw=3.2, label="truth")
     for label, (path, colour) in paths.items():
-        space.plot(*project_perspective(path.position, around).T, color=colour, lw=1.3, label=label)
+        space.plot(*project_perspective(path.position, around).T, color=colour, lw=1.3, label=drawable(label))
         if path is not true:
             distance_m = position_error_m(path.at(true.stamp_s), true)
-            over_time.plot(true.stamp_s - true.stamp_s[0], distance_m, color=colour, label=label)
+            over_time.plot(true.stamp_s - true.stamp_s[0], distance_m, color=colour, label=drawable(label))
     frame_perspective(space, around, [path.position for path, _ in paths.values()])
     what = "to the recorded poses" if truth is None else "to the truth"
     over_time.set(xlabel="time (s)", ylabel=f"distance {what} (m)", ylim=(0, None))
     gather_legend(figure, ncols=len(paths) + 3, markerscale=8)
-    figure.suptitle(title, fontsize=12)
+    for text in figure.legends[-1].get_texts():
+        text.set_parse_math(False)
+    figure.suptitle(drawable(title), fontsize=12, parse_math=False)
     return figure
 
 
@@ -92,5 +94,5 @@ def figure_bars(
     space.plot(*project_perspective(shown, cloud).T, "o", ms=0.8, mew=0, color=COLOURS["points"], rasterized=True)
     draw_bars(space, ends, cloud, color=COLOURS["bars found"], lw=1.2)
     frame_perspective(space, cloud)
-    figure.suptitle(title, fontsize=12)
+    figure.suptitle(drawable(title), fontsize=12, parse_math=False)
     return figure

@@ -8,6 +8,7 @@ from typing import Any
 import matplotlib.figure
 import matplotlib.style
 import numpy as np
+from matplotlib.font_manager import FontProperties, findfont, get_font
 
 # Okabe and Ito's palette (2008), safe for colour-blind readers, and further colours that are distinct from it.
 BLACK, BLUE, SKY, GREEN, ORANGE, VERMILION, PINK = (
@@ -116,6 +117,13 @@ def use() -> None:
 
 style = partial(matplotlib.style.context, ["default", LOOK])
 """``@style()`` decorates a function that draws one figure in this style."""
+
+
+def drawable(text: str) -> str:
+    """A text from outside, such as the name of a file, with � for each sign that the font lacks. Draw it with
+    ``parse_math=False``."""
+    font = get_font(findfont(FontProperties()))
+    return "".join(sign if font.get_char_index(ord(sign)) else "\N{REPLACEMENT CHARACTER}" for sign in text)
 
 
 def gather_legend(figure: matplotlib.figure.Figure, loc: str = "outside lower center", **more: Any) -> None:

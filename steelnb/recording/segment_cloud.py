@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from steelnb.core.errors import InputError
-from steelnb.core.files import new_folder
+from steelnb.core.files import display_name, new_folder
 from steelnb.core.types import Array, Segments
 from steelnb.fusion.whole_cloud import CloudBars, bars_of_cloud
 from steelnb.hough.lines import spacing
@@ -83,7 +83,7 @@ def segment_file(
         segments = bars.moved(cloud.origin)
         columns = {"width_m": found.width_m.round(3), "freedom": found.freedom.round(2)}
         write_segments(segments, folder / "segments.csv", more=columns)
-        title = f"{path.name}: {len(bars)} bars, {bars.length.sum():.1f} m"
+        title = f"{display_name(path)}: {len(bars)} bars, {bars.length.sum():.1f} m"
         figure_bars(cloud.points, bars, title, ~off, found.freedom).savefig(folder / "segments.png", dpi=150)
         if scene:
             figure_cloud(cloud.points, bars, ~off).write_html(folder / "segments.html", include_plotlyjs=True)
@@ -91,8 +91,8 @@ def segment_file(
     on_surfaces = float(1 - off.mean())
     bar_share = explained * (1 - on_surfaces)
     summary = (
-        f"read      {path.name}: {len(cloud)} points ({cloud.duplicates} duplicates and {cloud.invalid} invalid ones "
-        f"dropped), {apart_m:.3g} m apart",
+        f"read      {display_name(path)}: {len(cloud)} points ({cloud.duplicates} duplicates and "
+        f"{cloud.invalid} invalid ones dropped), {apart_m:.3g} m apart",
         f"settings  voxel {voxel:.3g} m, dx {dx:.3g} m: members closer than {2 * dx:.2g} m to each other are one",
         *_surface_lines(found.surfaces),
         f"found     {len(bars)} bars, {bars.length.sum():.1f} m in all, the longest "

@@ -1,4 +1,4 @@
-"""Reading clouds of every format, and folders of them as flights."""
+"""Reading clouds of every format."""
 
 from pathlib import Path
 
@@ -9,9 +9,8 @@ import pytest
 import trimesh
 
 from steelnb.core.errors import InputError
-from steelnb.io import read_cloud, read_flight, read_trajectory, read_truth, write_tum
+from steelnb.io import read_cloud
 from steelnb.io.clouds import read_points
-from tests.io.samples import poses
 
 FORMATS = (
     "a.npy", "binary.ply", "text.ply", "binary.pcd", "text.pcd", "compressed.pcd", "a.las", "a.laz", "a.xyz", "a.csv",
@@ -59,7 +58,7 @@ def test_every_format_is_read_exactly_and_truncated_files_are_refused(name: str,
         ("a.laz", b"LASF" + bytes(400), "not a LAZ file of points"),
         ("a.npy", b"\x93NUMPY", "not a NPY file of points"),
         ("a.xyz", b"1 2 3\n4 five 6\n", "not a XYZ file of points"),
-        ("a.csv", b"1 2 3\n", "not a CSV file of points"),
+        ("a.csv", b"1 2\n", "not a CSV file of points: 2 numbers in line 1"),
         ("a.e57", b"", r"ending '.e57'; expected one of .npy, .ply"),
         ("a.txt", b"1 2 3\n1 2 3\nnan 1 2\n", "1 distinct finite points of 3; expected at least two"),
     ],
@@ -103,78 +102,89 @@ def test_scans_keep_their_rows_and_their_invalid_points(tmp_path: Path) -> None:
     assert np.isnan(read).sum() == 3
 
 
-@pytest.fixture
-def folder(tmp_path: Path) -> Path:
-    """Ten clouds, shifted by their numbers, and ten poses."""
-    for k in range(10, 0, -1):
-        np.save(tmp_path / f"scan{k}.npy", POINTS + k)
-    write_tum(tmp_path / "trajectory.tum", poses(10))
-    return tmp_path
+@pytest.mark.parametrize(
+    "content",
+    [
+        "1,2,3\n4,5,6\n", "1, 2, 3\n4, 5, 6\n", "1;2;3\n4;5;6", "1\t2\t3\n4\t5\t6\n",
+        " 1  2 3 \r\n4 5 6\r\n\r\n \n", "1 2 3\r4 5 6\r", "\ufeff1 2 3\n4 5 6\n", "2\n1 2 3 255\n4 5 6 255\n",
+        "1,2,3,\n4,5,6,\n", "x,y,z\n1,2,3\n4,5,6\n", "Z;X;Y\n3;1,0;2\n6;4,0;5\n", "1,0 2,0 3,0\n4 5,0 6\n",
+        "//X Y Z R\n1 2 3 9\n4 5 6 9\n", "# my scan one\n# z y x\n3 2 1\n6 5 4", "1 2 3 # a\n// b\n% c\n4 5 6",
+        "ID\tX (m)\tY (m)\tZ (m)\n7\t1\t2\t3\n8\t4\t5\t6\n", "Easting,Northing,Elevation\n1,2,3\n4,5,6\n",
+        'name,"Points:0","Points:1","Points:2"\nA,1,2,3\nB,4,5,6\n',
+        "stamp,x,y,z\n12:00 h,1,2,3\n12:01 h,4,5,6\n",
+    ],
+)  # fmt: skip
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-16"])
+def test_texts_of_many_programs_give_the_same_points(content: str, encoding: str, tmp_path: Path) -> None:
+    (tmp_path / "a.txt").write_bytes(
+        content.removeprefix("\ufeff").encode(encoding) if encoding != "utf-8" else content.encode()
+    )
+    np.testing.assert_array_equal(read_points(tmp_path / "a.txt"), [[1, 2, 3], [4, 5, 6]])
 
 
-def test_a_folder_of_clouds_is_sorted_by_the_numbers_in_the_names(folder: Path) -> None:
-    write_tum(folder / "groundtruth.tum", poses(10, seed=5))
-    flight = read_flight(folder)
-    np.testing.assert_array_equal(flight.prior.stamp_s, poses(10).stamp_s)
-    for k, scan in enumerate(flight.scans, 1):
-        np.testing.assert_array_equal(scan.points, POINTS + k)
-    np.testing.assert_allclose(read_truth(folder).T_world_drone, poses(10, seed=5).T_world_drone, atol=1e-12)
-    assert read_truth(folder, truth="trajectory.tum") is not None
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        ("1,2,3\n4,5\n", "line 2 has 2 fields, '4,5'; expected 3"),
+        ("1 2 3\n4 5 6 7\n", "line 2 has 4 fields"),
+        ("1,2,3,9\n4,5,6\n", "line 2 has 3 fields"),
+        ("1,2,3\n" * 20_000 + "1,5,2,5,3,5\n", "line 20001 has 6 fields"),
+        ("x y z\n1 2 3\n1 2 3,5\n", "line 3: '3,5'; expected a number"),
+        ("3\n1 2 3\n4 5 6\n", "2 lines of numbers; expected 3"),
+        ("x_mm,y_mm,z_mm\n1,2,3\n", "in mm; expected metres"),
+        ("lat,lon,alt\n48,11,500\n", "columns lat, lon, alt; expected x, y and z"),
+        ("x,x,y,z\n1,2,3,4\n", "columns x and x"),
+        ("x y z\n1 2 3 4\n", "3 names of columns, but 4 fields in line 2"),
+        ("a b c\n", "no line of numbers"),
+        ("", "no line of numbers"),
+        ("1e30 0 1\n0 2e30 0\n1 2 3\n", "2 points farther than 1e.08 m"),
+    ],
+)
+def test_unclear_texts_are_refused_with_their_line(content: str, message: str, tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text(content)
+    with pytest.raises(InputError, match=rf"a.csv: not a CSV file of points: .*{message}"):
+        read_points(tmp_path / "a.csv")
 
 
-@pytest.mark.parametrize("begin_s", [0.0, 1_700_000_000.0])
-def test_stamps_are_read_from_the_names(folder: Path, begin_s: float) -> None:
-    for k in range(1, 11):
-        stamp_s = begin_s + 0.2 * (k - 1)
-        name = f"{round(stamp_s * 1e9):019d}" if begin_s else f"scan_{stamp_s:.3f}"
-        (folder / f"scan{k}.npy").rename(folder / f"{name}.npy")
-    write_tum(folder / "trajectory.tum", poses(40, step_s=0.05, begin_s=begin_s))
-    flight = read_flight(folder)
-    np.testing.assert_allclose(flight.prior.stamp_s, begin_s + 0.2 * np.arange(10), atol=1e-6)
-    np.testing.assert_array_equal(flight.scans[9].points, POINTS + 10)
+def test_missing_numbers_and_numbers_that_are_no_coordinates_are_no_returns(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text("x,y,z\n1,2,3\n,,\nnan,NaN,-nan\n1.#QNAN,-1.#IND,1.#INF\n3e38,1,2\n4,5,6\n7,8,9\n")
+    valid = np.isfinite(read_points(tmp_path / "a.csv"))
+    np.testing.assert_array_equal(valid.all(axis=1), [True, False, False, False, False, True, True])
+    assert read_cloud(tmp_path / "a.csv").invalid == 4
 
 
-def test_a_broken_file_is_a_scan_with_a_fault(folder: Path) -> None:
-    (folder / "scan3.npy").write_bytes(b"broken")
-    faults = [scan.fault for scan in read_flight(folder).scans]
-    assert [k for k, fault in enumerate(faults) if fault] == [2]
-    assert "scan3.npy: not a NPY file of points" in faults[2]
+@pytest.mark.parametrize(
+    ("shape", "read"),
+    [
+        ((3, 100), (100, 3)), ((4, 100), (100, 3)), ((100, 6), (100, 3)), ((3, 20, 30), (20, 30, 3)), ((4, 3), (4, 3)),
+        ((1, 50, 4), (1, 50, 3)), ((3, 3), None), ((3, 4), None), ((4, 16), None), ((100, 64), None), ((20, 30), None),
+        ((2, 100), None), ((0, 3), None), ((7,), None), ((2, 2, 2, 3), None),
+    ],
+)  # fmt: skip
+def test_arrays_are_read_if_their_shape_is_clear(
+    shape: tuple[int, ...], read: tuple[int, ...] | None, tmp_path: Path
+) -> None:
+    values = np.random.default_rng(0).normal(size=shape)
+    np.save(tmp_path / "a.npy", values)
+    if read is None:
+        with pytest.raises(InputError, match=r"a.npy: not a NPY file of points: (an array of shape|no points)"):
+            read_points(tmp_path / "a.npy")
+        return
+    expected = values if values.shape[-1] <= 16 else np.moveaxis(values, 0, -1)
+    np.testing.assert_array_equal(read_points(tmp_path / "a.npy"), expected[..., :3])
 
 
-def test_folders_without_one_trajectory_or_clouds_are_refused(folder: Path) -> None:
-    write_tum(folder / "other.tum", poses(3))
-    with pytest.raises(InputError, match=r"other.tum, trajectory.tum; expected one TUM file"):
-        read_flight(folder)
-    with pytest.raises(InputError, match=r"10 clouds, no stamps in their names, and 3 poses in other.tum"):
-        read_flight(folder, poses="other.tum")
-    assert len(read_flight(folder, poses="trajectory.tum")) == 10
-    (folder / "sub").mkdir()
-    with pytest.raises(InputError, match=r"sub: no clouds in it"):
-        read_flight(folder, scans="sub")
-
-
-def test_a_written_trajectory_is_read_by_us_and_by_evo(tmp_path: Path) -> None:
-    from evo.tools.file_interface import read_tum_trajectory_file
-
-    written = poses(20, begin_s=1_700_000_000.0)
-    write_tum(tmp_path / "a.tum", written)
-    read = read_trajectory(tmp_path / "a.tum")
-    np.testing.assert_array_equal(read.stamp_s, written.stamp_s)
-    np.testing.assert_allclose(read.T_world_drone, written.T_world_drone, atol=1e-12)
-    np.testing.assert_allclose(read_tum_trajectory_file(str(tmp_path / "a.tum")).poses_se3, written.T_world_drone)
-
-
-def test_invalid_poses_are_dropped_and_files_without_valid_poses_refused(tmp_path: Path) -> None:
-    lines = ["# stamp x y z qx qy qz qw", "2 1 0 0 0 0 0 2", "1 0 0 0 0 0 0 1", "1 5 0 0 0 0 0 1", "3 nan 0 0 0 0 0 1"]
-    (tmp_path / "a.tum").write_text("\n".join([*lines, "4 0 0 0 0 0 0 0"]))
-    read = read_trajectory(tmp_path / "a.tum")
-    np.testing.assert_array_equal(read.stamp_s, [1.0, 2.0])
-    np.testing.assert_array_equal(read.position[:, 0], [0.0, 1.0])
-    for content, message in (
-        ("4 0 0 0 0 0 0 0", "1 poses, none valid"),
-        ("1 2 3", "3 numbers per line"),
-        ("a b", "TUM"),
+def test_arrays_with_names_are_read_and_other_types_refused(tmp_path: Path) -> None:
+    named = np.array([(3, 1, 2, 9), (6, 4, 5, 9)], dtype=[("z", "f4"), ("x", "f4"), ("y", "f8"), ("intensity", "u1")])
+    np.save(tmp_path / "a.npy", named)
+    np.testing.assert_array_equal(read_points(tmp_path / "a.npy"), [[1, 2, 3], [4, 5, 6]])
+    for other in (
+        named[["x", "y"]],
+        POINTS + 1j,
+        POINTS > 0,
+        POINTS.astype(str),
+        np.array([POINTS, None], dtype=object),
     ):
-        (tmp_path / "b.tum").write_text(content)
-        with pytest.raises(InputError, match=message):
-            read_trajectory(tmp_path / "b.tum")
+        np.save(tmp_path / "a.npy", other, allow_pickle=True)
+        with pytest.raises(InputError, match=r"a.npy: not a NPY file of points: "):
+            read_points(tmp_path / "a.npy")

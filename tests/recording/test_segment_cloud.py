@@ -1,5 +1,8 @@
 """`segment_file`: finds the bars of a made-up tower, few in noise, and leaves no partial output."""
 
+import os
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -142,6 +145,16 @@ def test_a_second_run_writes_the_same_bytes(saved: Path, report: SegmentReport, 
     assert {path.name for path in tmp_path.iterdir()} == FILES
     for name in sorted(FILES):
         assert (tmp_path / name).read_bytes() == (folder / name).read_bytes()
+
+
+def test_every_name_of_a_file_is_drawn_and_printed(saved: Path, tmp_path: Path) -> None:
+    name = b"a$b_{\n\xff" + "塔.xyz".encode()  # a formula's sign, a control sign, no UTF-8, no sign of the font
+    (tmp_path / os.fsdecode(name)).write_bytes(saved.read_bytes())
+    command = [sys.executable, "-m", "steelnb", "segment", name, "-o", "out"]
+    done = subprocess.run(command, cwd=tmp_path, env={**os.environ, "PYTHONIOENCODING": "ascii"}, capture_output=True)
+    assert (done.returncode, done.stderr) == (0, b"")
+    assert done.stdout.startswith(b"read      a$b_{???.xyz: ")
+    assert {path.name for path in (tmp_path / "out").iterdir()} == FILES
 
 
 @pytest.mark.parametrize("shape", ["two", "line", "plane", "upright", "scatter"])

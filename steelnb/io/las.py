@@ -1,0 +1,102 @@
+"""Reader of LAS files, and of LAZ files by lazrs, whose sizes are checked first (ASPRS LAS 1.0 to 1.4, LASzip 3.4)."""
+
+import io
+import struct
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from steelnb.core.types import Array
+from steelnb.io.records import xyz_of
+
+HEADER_MIN, RECORD_MIN, FORMAT_MAX = 227, 20, 10
+COMPRESSED, COUNT_IN_1_4 = 0xC0, 255
+"""Bits of the point format that LASzip sets; size of a header with a count of 64 bits."""
+POINTS_PER_BYTE_MAX = 100
+"""Compressed points take a few bytes each."""
+BLOCK = 1 << 20
+LASZIP, VARIABLE, CHUNKED, LAYERED = (b"laszip encoded", 22204), 0xFFFFFFFF, 2, 3
+"""Identification of LASzip's record in a header, its chunk size if chunks differ in size, and its compressors."""
+SIZES = {6: 20, 7: 8, 8: 6, 9: 29, 10: 30, 11: 6, 12: 8, 13: 29}
+LAYERS = {10: 9, 11: 1, 12: 2, 13: 1}
+"""Size in bytes, and number of layers, of each type of item; extra bytes have any size, and a layer each."""
+
+
+def read_las(path: Path) -> Array:
+    """Points ``(N, 3)`` of a LAS or LAZ file. Raises ValueError."""
+    file = path.read_bytes()
+    if len(file) < HEADER_MIN or not file.startswith(b"LASF"):
+        raise ValueError(f"{len(file)} bytes that start with {file[:4]!r}; expected LASF and its header")
+    size, begin, records, kind, stride, count = struct.unpack_from("<HIIBHI", file, 94)
+    if file[25] >= 4 and min(size, len(file)) >= COUNT_IN_1_4:
+        count = struct.unpack_from("<Q", file, 247)[0] or count
+    scale, offset = np.frombuffer(file, "<f8", 6, 131).reshape(2, 3)
+    if not HEADER_MIN <= size <= begin <= len(file) or stride < RECORD_MIN or kind & ~COMPRESSED > FORMAT_MAX:
+        raise ValueError(
+            f"a header of {size} bytes, points of format {kind & ~COMPRESSED} and {stride} bytes at {begin}"
+        )
+    if not np.isfinite(offset).all() or not (np.isfinite(scale) & (scale > 0)).all():
+        raise ValueError(f"scales {scale.tolist()}, offsets {offset.tolist()}; expected finite numbers, scales above 0")
+    data = memoryview(file)[begin:]
+    points = _unpack(file, size, begin, records, stride, count) if kind & COMPRESSED else data
+    xyz = xyz_of(points, count, stride, [("<i4", 0), ("<i4", 4), ("<i4", 8)])
+    xyz *= scale
+    xyz += offset
+    return xyz
+
+
+def _unpack(file: bytes, at: int, begin: int, records: int, stride: int, count: int) -> memoryview:
+    """The records of compressed points. ``at``, ``begin``: where the header's further records and the points are."""
+    import lazrs
+
+    about = None
+    while about is None and records and at + 54 <= begin:
+        user, number, length = struct.unpack_from("<16sHH", file, at + 2)
+        about = file[at + 54 : at + 54 + length] if (user.rstrip(b"\0"), number) == LASZIP else None
+        at, records = at + 54 + length, records - 1
+    if about is None or len(about) < 34 or len(about) != 34 + 6 * about[32]:
+        raise ValueError("compressed points, but no sound record of LASzip in its header")
+    items = list(struct.iter_unpack("<HHH", about[34:]))
+    compressor, chunk = struct.unpack_from("<H10xI", about)
+    layers = sum(LAYERS.get(kind, size) for kind, size, _ in items) if compressor == LAYERED else None
+    sound = all(SIZES.get(kind, size) == size and (kind > 9) == (compressor == LAYERED) for kind, size, _ in items)
+    if not sound or compressor not in (CHUNKED, LAYERED) or sum(size for _, size, _ in items) != stride:
+        raise ValueError(f"compressor {compressor} of items {items[:4]}; expected 2 or 3, and {stride} bytes a point")
+    table = struct.unpack_from("<q", file, begin)[0] if begin + 8 <= len(file) else 0
+    table = struct.unpack_from("<q", file, len(file) - 8)[0] if table == -1 else table
+    chunks = struct.unpack_from("<4xI", file, table)[0] if begin + 8 <= table <= len(file) - 8 else 0
+    most = len(file) // stride if chunk == VARIABLE else -(-count // max(chunk, 1))
+    if not 0 < count <= POINTS_PER_BYTE_MAX * len(file) or not 0 < chunks <= min(most, len(file)):
+        raise ValueError(f"truncated or damaged: {count} points, {chunks} blocks of them in {len(file)} bytes")
+    unpacked, source = bytearray(), io.BytesIO(file)
+    try:
+        source.seek(begin)
+        _check_chunks(file, begin + 8, table, lazrs.read_chunk_table(source, lazrs.LazVlr(about)), stride, layers)
+        source.seek(begin)
+        coordinates = lazrs.SELECTIVE_DECOMPRESS_XY_RETURNS_CHANNEL | lazrs.SELECTIVE_DECOMPRESS_Z
+        reader = lazrs.LasZipDecompressor(source, about, lazrs.DecompressionSelection(coordinates))
+        while len(unpacked) < count * stride:
+            block = bytearray(min(BLOCK * stride, count * stride - len(unpacked)))
+            reader.decompress_many(block)
+            unpacked += block
+    except BaseException as fault:  # a panic of Rust is no Exception
+        if isinstance(fault, KeyboardInterrupt | SystemExit | MemoryError):
+            raise
+        raise ValueError(f"its compressed points are damaged, after {len(unpacked) // stride} of {count}") from None
+    return memoryview(unpacked)
+
+
+def _check_chunks(
+    file: bytes, at: int, end: int, chunks: Sequence[tuple[int, int]], stride: int, layers: int | None
+) -> None:
+    """Raise ValueError if chunks, or layers of a chunk, are larger than what is there, as lazrs allocates them."""
+    for _, size in chunks:
+        held = stride
+        if layers is not None:
+            held += 4 * (layers + 1)
+            if held <= size <= end - at:
+                held += sum(struct.unpack_from(f"<{layers}I", file, at + stride + 4))
+        if not held <= size <= end - at:
+            raise ValueError
+        at += size

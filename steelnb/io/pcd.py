@@ -1,0 +1,128 @@
+"""Reader of PCD files, after the format's description by the Point Cloud Library (version 0.7)."""
+
+import struct
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from steelnb.core.types import Array
+from steelnb.io.lzf import lzf_unpacked
+from steelnb.io.records import xyz_of
+from steelnb.io.text import Table
+
+HEADER_MAX = 1 << 16
+LZF_RATIO_MAX = 88
+"""A reference of three bytes copies at most 264 of them."""
+KINDS = {("F", 4): "<f4", ("F", 8): "<f8"} | {(t, n): f"<{t.lower()}{n}" for t in "IU" for n in (1, 2, 4, 8)}
+
+
+@dataclass(frozen=True)
+class Header:
+    """``number``: index of x, y and z among the fields; ``size``, ``count``: bytes of an element, elements, of each
+    field; ``kind``: types of x, y and z; ``shape``: rows and columns, and ``points``, 0 if not given; ``encoding``:
+    ``ascii``, ``binary`` or ``binary_compressed``."""
+
+    number: list[int]
+    size: list[int]
+    count: list[int]
+    kind: list[str]
+    shape: tuple[int, int]
+    points: int
+    encoding: str
+
+    def offset(self, k: int) -> int:
+        """Bytes of a point before field ``k``; for the number of fields: the size of a point."""
+        return sum(size * count for size, count in zip(self.size[:k], self.count[:k], strict=True))
+
+    def chosen(self, fits: int) -> int:
+        """Number of points. If POINTS contradicts WIDTH and HEIGHT, the one that ``fits`` the data is right."""
+        product = self.shape[0] * self.shape[1]
+        counts = [n for n in (product, self.points) if n] or [0]
+        if len(set(counts)) > 1 and fits not in counts:
+            raise ValueError(f"POINTS {self.points}, but WIDTH × HEIGHT = {product}, and data of {fits} points")
+        return fits if fits in counts else counts[0]
+
+
+def read_pcd(path: Path) -> Array:
+    """Points of a PCD file, ``(N, 3)``, or ``(H, W, 3)`` if it has several rows. Raises ValueError.
+
+    The sensor's pose (VIEWPOINT) is not applied, as most programs store points in the sensor frame and do not set it.
+    """
+    file = path.read_bytes()
+    header, data = _header(file)
+    stride = header.offset(len(header.size))
+    fields = [(kind, header.offset(k)) for kind, k in zip(header.kind, header.number, strict=True)]
+    if header.encoding == "ascii":
+        begins = [sum(header.count[:k]) for k in header.number]
+        points = Table(bytes(data), sum(header.count), first=file[: len(file) - len(data)].count(b"\n") + 1).values(
+            begins
+        )
+        if header.chosen(len(points)) != len(points):
+            raise ValueError(f"{len(points)} lines of points; its header says {header.chosen(len(points))}")
+    elif header.encoding == "binary":
+        count = header.chosen(len(data) // max(stride, 1))
+        points = xyz_of(data, count, stride, fields)
+        if len(data) - count * stride >= stride and any(data[count * stride :]):
+            raise ValueError(
+                f"{len(data)} bytes of points; expected {count} of {stride} bytes each, as its header says"
+            )
+    elif header.encoding == "binary_compressed":
+        if len(data) < 8:
+            raise ValueError("no data after its header")
+        packed, size = struct.unpack_from("<II", data)
+        count = header.chosen(size // max(stride, 1))
+        if packed > len(data) - 8 or size > LZF_RATIO_MAX * packed or size != count * stride:
+            raise ValueError(
+                f"{len(data) - 8} bytes hold {packed}, and {size} uncompressed; expected {count} × {stride}"
+            )
+        unpacked = lzf_unpacked(np.frombuffer(data, np.uint8, packed, 8), size).data
+        # Each field of all points stands in one piece.
+        points = np.stack(
+            [xyz_of(unpacked[n * count :], count, int(kind[2:]), [(kind, 0)] * 3)[:, 0] for kind, n in fields], -1
+        )
+    else:
+        raise ValueError(f"DATA {header.encoding[:40]}; expected ascii, binary or binary_compressed")
+    rows, columns = header.shape
+    return points.reshape((rows, columns, 3) if rows > 1 and rows * columns == len(points) else (-1, 3))
+
+
+def _header(file: bytes) -> tuple[Header, memoryview]:
+    """The header, and the data after it. Keywords may be in lower case, in any order; comments and blank lines are
+    skipped."""
+    words: dict[str, list[str]] = {}
+    begin = 0
+    while "DATA" not in words:
+        end = file.find(b"\n", begin, HEADER_MAX) + 1
+        line = file[begin : end or HEADER_MAX].decode("ascii", "replace").split()
+        if not end and line[:1] != ["DATA"]:
+            raise ValueError("no line DATA; expected the header of a PCD file")
+        if line and not line[0].startswith("#"):
+            words[line[0].upper()] = line[1:]
+        begin = end or len(file)
+    fields = [name.lower() for name in words.get("FIELDS") or words.get("COLUMNS") or []]
+    ones = ["1"] * len(fields)
+    size, count = _numbers(words, "SIZE", len(fields)), _numbers({"COUNT": ones} | words, "COUNT", len(fields))
+    types = [kind.upper() for kind in words.get("TYPE", [])]
+    missing = [axis for axis in "xyz" if fields.count(axis) != 1]
+    if missing or len(types) != len(fields):
+        named, given = " ".join(fields)[:80], " ".join(types)[:40]
+        raise ValueError(f"FIELDS {named}, TYPE {given}; expected x, y and z once each, and a type for each field")
+    number = [fields.index(axis) for axis in "xyz"]
+    kinds = [KINDS.get((types[k], size[k])) for k in number]
+    if None in kinds or [count[k] for k in number] != [1, 1, 1]:
+        described = ", ".join(f"{types[k]} of {size[k]} bytes × {count[k]}" for k in number)
+        raise ValueError(f"x, y and z are {described}; expected F of 4 or 8, I or U of 1, 2, 4 or 8, once each")
+    one = {"WIDTH": ["0"], "HEIGHT": ["1"], "POINTS": ["0"], "DATA": [""]} | words
+    (columns,), (rows,), (points,) = (_numbers(one, key, 1) for key in ("WIDTH", "HEIGHT", "POINTS"))
+    encoding = (one["DATA"] or [""])[0].lower()
+    return Header(number, size, count, [str(kind) for kind in kinds], (rows, columns), points, encoding), memoryview(
+        file
+    )[begin:]
+
+
+def _numbers(words: dict[str, list[str]], key: str, expected: int) -> list[int]:
+    given = words.get(key, [])
+    if len(given) != expected or not all(word.isascii() and word.isdigit() and len(word) < 19 for word in given):
+        raise ValueError(f"{key} {' '.join(given)[:40]}; expected {expected} whole numbers")
+    return [int(word) for word in given]

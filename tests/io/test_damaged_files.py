@@ -1,0 +1,90 @@
+"""Damaged files of points and poses end in a result or one line, whatever their headers say."""
+
+import os
+import tracemalloc
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from steelnb.core.errors import InputError
+from steelnb.io import read_trajectory, write_tum
+from steelnb.io.clouds import read_points
+from tests.io.samples import poses
+from tests.io.test_clouds import save
+
+TRIALS = int(os.environ.get("STEELNB_FUZZ", "100"))
+"""Damaged files of each format."""
+MEMORY_MAX = 30e6
+"""For files of ten kilobytes."""
+NUMBERS = (
+    b"0",
+    b"1",
+    b"-1",
+    b"3",
+    b"399",
+    b"4294967295",
+    b"2147483648",
+    b"99999999999999999999",
+    b"nan",
+    b"1e9",
+    b"x",
+    b"",
+)
+FORMATS = (
+    "text.pcd", "binary.pcd", "compressed.pcd", "text.ply", "binary.ply", "a.las", "a.laz", "a.npy", "a.csv", "a.tum",
+)  # fmt: skip
+HEADER_BYTES = {".las": 400, ".laz": 600, ".npy": 128, ".csv": 100, ".tum": 200, ".pcd": 180, ".ply": 130}
+
+
+def damaged(whole: bytes, header: int, rng: np.random.Generator) -> bytes:
+    """One to three damages: bytes, numbers, lines or binary numbers of the header are changed, or the file is cut."""
+    for _ in range(rng.integers(1, 4)):
+        at = int(rng.integers(min(header, len(whole)) or 1))
+        kind = rng.integers(6)
+        if kind == 0:
+            whole = whole[:at] + bytes(rng.integers(0, 256, rng.integers(1, 4), np.uint8)) + whole[at + 1 :]
+        elif kind == 1:
+            words = whole[:header].split(b" ")
+            words[rng.integers(len(words))] = NUMBERS[rng.integers(len(NUMBERS))]
+            whole = b" ".join(words) + whole[header:]
+        elif kind == 2:
+            lines = whole[:header].split(b"\n")
+            lines.insert(
+                int(rng.integers(len(lines))), lines.pop(rng.integers(len(lines))) if rng.random() < 0.7 else lines[0]
+            )
+            whole = b"\n".join(lines) + whole[header:]
+        elif kind == 3:
+            size = int(rng.choice([1, 2, 4, 8]))
+            number = rng.choice([0, 1, 127, 255, 2**31 - 1, 2**32 - 1, 2**63 - 1, 2**64 - 1, 10**6]) % 2 ** (8 * size)
+            whole = whole[:at] + int(number).to_bytes(size, "little") + whole[at + size :]
+        elif kind == 4:
+            whole = whole[: int(rng.integers(len(whole) + 1))]
+        else:
+            whole = whole[:at] + whole[at + int(rng.integers(1, 40)) :]
+    return whole
+
+
+@pytest.mark.parametrize("name", FORMATS)
+def test_damaged_headers_give_points_or_one_line(name: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / name
+    if path.suffix == ".tum":
+        write_tum(path, poses(100))
+    else:
+        save(path)
+    whole, rng = path.read_bytes(), np.random.default_rng(0)
+    read = read_trajectory if path.suffix == ".tum" else read_points
+    refused = 0
+    tracemalloc.start()
+    for trial in range(TRIALS):
+        content = damaged(whole, HEADER_BYTES[path.suffix], rng)
+        path.write_bytes(content)
+        tracemalloc.reset_peak()
+        try:
+            assert len(read(path)) > 0
+        except InputError:
+            refused += 1
+        assert tracemalloc.get_traced_memory()[1] < MEMORY_MAX, (trial, content[:400])
+    tracemalloc.stop()
+    assert refused > TRIALS / 10
+    assert capfd.readouterr() == ("", "")

@@ -1,0 +1,114 @@
+"""Folders of clouds as flights."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from steelnb.core.errors import InputError
+from steelnb.io import read_flight, read_truth, write_tum
+from tests.io.samples import poses
+from tests.io.test_clouds import POINTS
+
+UNIX_S = 1_700_000_000
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """Ten clouds, shifted by their numbers, and ten poses."""
+    for k in range(10, 0, -1):
+        np.save(tmp_path / f"scan{k}.npy", POINTS + k)
+    write_tum(tmp_path / "trajectory.tum", poses(10))
+    return tmp_path
+
+
+def test_a_folder_of_clouds_is_sorted_by_the_numbers_in_the_names(folder: Path) -> None:
+    write_tum(folder / "groundtruth.tum", poses(10, seed=5))
+    flight = read_flight(folder)
+    np.testing.assert_array_equal(flight.prior.stamp_s, poses(10).stamp_s)
+    for k, scan in enumerate(flight.scans, 1):
+        np.testing.assert_array_equal(scan.points, POINTS + k)
+    np.testing.assert_allclose(read_truth(folder).T_world_drone, poses(10, seed=5).T_world_drone, atol=1e-12)
+    assert read_truth(folder, truth="trajectory.tum") is not None
+
+
+@pytest.mark.parametrize(
+    ("begin_s", "name", "units"),
+    [
+        (0, lambda ns, k: f"scan_{ns / 1e9:.3f}", "s"),
+        (0, lambda ns, k: f"{ns // 10**6}", "ms"),
+        (0, lambda ns, k: f"{ns:019d}", "ns"),
+        (50, lambda ns, k: f"{ns}", "ns"),
+        (500, lambda ns, k: f"{ns // 1000}", "µs"),
+        (UNIX_S, lambda ns, k: f"{ns / 1e9:.6f}", "s"),
+        (UNIX_S, lambda ns, k: f"{ns / 1e9:.3f}_{k:04d}", "s"),
+        (UNIX_S, lambda ns, k: f"{k}_{ns // 10**6}", "ms"),
+        (UNIX_S, lambda ns, k: f"{ns // 1000}", "µs"),
+        (UNIX_S, lambda ns, k: f"{ns}", "ns"),
+        (UNIX_S, lambda ns, k: f"cloud_{ns // 10**9}_{ns % 10**9:09d}", "s and ns"),
+        (UNIX_S, lambda ns, k: f"{ns // 10**9}_{ns % 10**9}_{k:06d}", "s and ns"),
+        (UNIX_S, lambda ns, k: f"{k:06d}-{ns // 10**9}-{ns % 10**9 // 1000:06d}", "s and µs"),
+    ],
+)
+@pytest.mark.parametrize("step_s", [0.2, 0.05], ids=["a pose a scan", "more poses"])
+def test_stamps_are_read_from_the_names(
+    folder: Path, begin_s: int, name: Callable[[int, int], str], units: str, step_s: float
+) -> None:
+    for k in range(1, 11):
+        ns = begin_s * 10**9 + 200_000_000 * (k - 1)
+        (folder / f"scan{k}.npy").rename(folder / f"{name(ns, k)}.npy")
+    write_tum(folder / "trajectory.tum", poses(round(2 / step_s), step_s=step_s, begin_s=begin_s))
+    flight = read_flight(folder)
+    np.testing.assert_allclose(flight.prior.stamp_s, begin_s + 0.2 * np.arange(10), atol=1e-6)
+    np.testing.assert_array_equal(flight.scans[9].points, POINTS + 10)
+    assert flight.facts["scans"] == f"10 files, stamped by their names ({units})"
+
+
+@pytest.mark.parametrize("name", ["{:03d}", "frame_{:d}_2023", "{:04d}0", "scan_v1.2_{:03d}"])
+def test_numbers_that_count_are_no_stamps(folder: Path, name: str) -> None:
+    for k in range(1, 11):
+        (folder / f"scan{k}.npy").rename(folder / f"{name.format(k)}.npy")
+    assert read_flight(folder).facts["scans"] == "10 files, in the order of their names"
+    write_tum(folder / "trajectory.tum", poses(100, step_s=0.02))
+    with pytest.raises(InputError, match="10 clouds, no stamps in their names, and 100 poses"):
+        read_flight(folder)
+
+
+def test_other_files_beside_the_scans_are_named(folder: Path) -> None:
+    np.save(folder / "map_2.npy", POINTS)
+    (folder / "imu.csv").write_text("#timestamp [ns],w_x,w_y,w_z\n1,2,3,4\n")
+    for name in (".DS_Store", "._scan1.npy", "README.txt", "calibration.txt"):
+        (folder / name).write_text("1 0 0 0\n")
+    flight = read_flight(folder)
+    assert len(flight) == 10
+    assert flight.skipped == {"cloud beside the scans (imu.csv, map_2.npy)": 2}
+    for k in range(1, 11):
+        np.save(folder / f"rear{k}.npy", POINTS)
+    with pytest.raises(InputError, match=r"10 clouds such as rear1.npy, and 10 such as scan1.npy; expected names"):
+        read_flight(folder)
+
+
+def test_arrays_of_axes_are_not_three_points(folder: Path) -> None:
+    for file in folder.glob("*.npy"):
+        np.save(file, np.load(file).T)
+    assert [scan.points.shape for scan in read_flight(folder).scans] == [POINTS.shape] * 10
+
+
+def test_a_broken_file_is_a_scan_with_a_fault(folder: Path) -> None:
+    (folder / "scan3.npy").write_bytes(b"broken")
+    faults = [scan.fault for scan in read_flight(folder).scans]
+    assert [k for k, fault in enumerate(faults) if fault] == [2]
+    assert "scan3.npy: not a NPY file of points" in faults[2]
+
+
+def test_folders_without_one_trajectory_or_clouds_are_refused(folder: Path) -> None:
+    write_tum(folder / "other.tum", poses(3))
+    with pytest.raises(InputError, match=r"other.tum, trajectory.tum; expected one TUM file"):
+        read_flight(folder)
+    with pytest.raises(InputError, match=r"10 clouds, no stamps in their names, and 3 poses in other.tum"):
+        read_flight(folder, poses="other.tum")
+    assert len(read_flight(folder, poses="trajectory.tum")) == 10
+    (folder / "sub").mkdir()
+    with pytest.raises(InputError, match=r"sub: no clouds in it"):
+        read_flight(folder, scans="sub")

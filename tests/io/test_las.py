@@ -1,0 +1,63 @@
+"""Formats of LAS and LAZ files."""
+
+import struct
+from pathlib import Path
+
+import laspy
+import numpy as np
+import pytest
+
+from steelnb.core.errors import InputError
+from steelnb.io.clouds import read_points
+
+POINTS = np.random.default_rng(0).normal([5e5, 5e6, 300], size=(60_000, 3))
+
+
+def save(path: Path, point_format: int = 6, version: str = "1.4", count: int = 500) -> Path:
+    file = laspy.create(point_format=point_format, file_version=version)
+    file.header.scales, file.header.offsets = [1e-3] * 3, [5e5, 5e6, 0]
+    file.add_extra_dim(laspy.ExtraBytesParams("quality", "f4"))
+    file.vlrs.append(laspy.VLR("other", 7, "", b"other"))
+    file.x, file.y, file.z = POINTS[:count].T
+    file.write(str(path))
+    return path
+
+
+@pytest.mark.parametrize("suffix", ["las", "laz"])
+@pytest.mark.parametrize(
+    ("point_format", "version"), [(0, "1.2"), (3, "1.2"), (1, "1.3"), (6, "1.4"), (8, "1.4"), (10, "1.4")]
+)
+def test_points_are_those_of_laspy(suffix: str, point_format: int, version: str, tmp_path: Path) -> None:
+    path = save(tmp_path / f"a.{suffix}", point_format, version, len(POINTS))  # more than a block of LASzip
+    np.testing.assert_array_equal(read_points(path), np.array(laspy.read(path).xyz))
+
+
+@pytest.mark.parametrize(
+    ("suffix", "at", "form", "value"),
+    [
+        ("las", 247, "<Q", 2**40), ("las", 96, "<I", 2**31), ("las", 105, "<H", 3), ("las", 131, "<d", np.nan),
+        ("las", 131, "<d", 0.0), ("las", 155, "<d", np.inf), ("las", 104, "<B", 99), ("laz", 247, "<Q", 2**40),
+        ("laz", 104, "<B", 0x80 + 99), ("laz", 100, "<I", 0),
+    ],
+)  # fmt: skip
+def test_headers_that_contradict_the_file_are_refused(
+    suffix: str, at: int, form: str, value: float, tmp_path: Path
+) -> None:
+    path = save(tmp_path / f"a.{suffix}")
+    content = bytearray(path.read_bytes())
+    struct.pack_into(form, content, at, value)
+    path.write_bytes(content)
+    with pytest.raises(InputError, match=rf"a.{suffix}: not a {suffix.upper()} file of points: "):
+        read_points(path)
+
+
+@pytest.mark.parametrize("more", range(0, 40, 4))
+def test_sizes_of_compressed_layers_are_checked(more: int, tmp_path: Path) -> None:
+    """lazrs allocates what they say, and ends the process if it cannot."""
+    path = save(tmp_path / "a.laz")
+    content = bytearray(path.read_bytes())
+    begin, stride = struct.unpack_from("<I", content, 96)[0], struct.unpack_from("<H", content, 105)[0]
+    struct.pack_into("<I", content, begin + 8 + stride + 4 + more, 0xFFFFFFF0)
+    path.write_bytes(content)
+    with pytest.raises(InputError, match=r"a.laz: not a LAZ file of points: its compressed points are damaged"):
+        read_points(path)

@@ -1,0 +1,72 @@
+"""Headers of PLY files."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from steelnb.core.errors import InputError
+from steelnb.io.clouds import read_points
+
+POINTS = np.arange(15.0).reshape(5, 3)
+LINES = "\n".join(f"{x:g} {y:g} {z:g}" for x, y, z in POINTS).encode()
+AXES = "property float x\nproperty float y\nproperty float z\n"
+FACE = "element face 1\nproperty list uchar int vertex_indices\n"
+CAMERA = "element camera 2\nproperty double focus\nproperty uchar kind\n"
+
+
+def header(
+    encoding: str = "binary_little_endian", count: str = "5", axes: str = AXES, before: str = "", after: str = ""
+) -> bytes:
+    lines = f"ply\nformat {encoding} 1.0\ncomment made\n{before}element vertex {count}\n{axes}{after}end_header\n"
+    return lines.encode()
+
+
+def records(order: str = "<", kind: str = "f4") -> bytes:
+    return POINTS.astype(f"{order}{kind}").tobytes()
+
+
+COLOURED = np.zeros(5, [("y", "<f8"), ("r", "u1"), ("z", "<i2"), ("x", "<f4")])
+for number, name in enumerate("xyz"):
+    COLOURED[name] = POINTS[:, number]
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        header() + records(),
+        header().replace(b"\n", b"\r\n") + records(),
+        header("binary_big_endian") + records(">"),
+        header(axes=AXES.replace("float", "float64")) + records(kind="f8"),
+        header(axes="property double y\nproperty uchar red\nproperty short z\nproperty float X\n") + COLOURED.tobytes(),
+        header(before=CAMERA, after=FACE) + bytes(18) + records() + b"\x03" + bytes(12),
+        header("ascii") + LINES,
+        header("ascii", before=CAMERA, after=FACE) + b"1 2\n3 4\n" + LINES + b"\n3 0 1 2\n",
+        header("ascii").replace(b"\n", b"\r") + LINES.replace(b"\n", b"\r"),
+    ],
+)
+def test_vertices_are_found_among_other_elements(content: bytes, tmp_path: Path) -> None:
+    (tmp_path / "a.ply").write_bytes(content)
+    np.testing.assert_array_equal(read_points(tmp_path / "a.ply"), POINTS)
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (header() + records()[:-1], "59 bytes of points; expected 5 of 12 bytes each"),
+        (header(count="99999999999999") + records(), "expected 99999999999999 of 12 bytes"),
+        (header(count="0"), "expected 0 of 12 bytes"),
+        (header(count="-5") + records(), "'element vertex -5' in its header; expected"),
+        (header(before=FACE) + records(), "property 'list uchar int vertex_indices' at or before its vertices"),
+        (header(axes=AXES.replace("float y", "half y")) + records(), "property 'half y'"),
+        (header(axes=AXES.replace(" y", " x")) + records(), "a vertex has x, x, z; expected x, y and z once each"),
+        (header("utf8") + LINES, "format utf8; expected one of ascii"),
+        (header("ascii") + LINES[:-10], "line 12 has 1 fields, '1'; expected 3|4 vertices; its header says 5"),
+        (header().replace(b"vertex", b"face") + records(), "no element vertex"),
+        (b"ply\n", "no header"),
+    ],
+)
+def test_contradictions_are_refused(content: bytes, message: str, tmp_path: Path) -> None:
+    (tmp_path / "a.ply").write_bytes(content)
+    with pytest.raises(InputError, match=rf"a.ply: not a PLY file of points: .*({message})"):
+        read_points(tmp_path / "a.ply")

@@ -1,0 +1,128 @@
+"""Trajectories of many programs."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from steelnb.core.errors import InputError
+from steelnb.io import read_trajectory, write_tum
+from tests.io.samples import poses
+
+TURN = Rotation.from_euler("ZYX", [50, -20, 10], degrees=True)
+X, Y, Z, W = (repr(number) for number in TURN.as_quat(canonical=True).tolist())
+NAMES = "x,y,z,qx,qy,qz,qw"
+POSE = f"1,2,3,{X},{Y},{Z},{W}"
+
+
+def named(prefix: str, sign: str = ".") -> str:
+    """Names of the parts of a pose message."""
+    parts = [f"position{sign}{axis}" for axis in "xyz"] + [f"orientation{sign}{axis}" for axis in "xyzw"]
+    return ",".join(f"{prefix}{part}" for part in parts)
+
+
+@pytest.mark.parametrize(
+    ("begin_s", "content"),
+    [
+        (0.5, f"0.5,{POSE}\n1.5,{POSE}\n".replace(",", " ")),
+        (0.5, f"\ufeff0.5,{POSE}\n1.5,{POSE}\n"),
+        (0.5, f"# timestamp tx ty tz qw qx qy qz\n0.5 1 2 3 {W} {X} {Y} {Z}\n1.5 1 2 3 {W} {X} {Y} {Z}\n"),
+        (0.5, f"{NAMES},t\n{POSE},0.5\n{POSE},1.5\n"),
+        (0.5, f"stamp_ms,{NAMES}\n500,{POSE}\n1500,{POSE}\n".replace(",", ";").replace(".", ",")),
+        (0.5, "t,x,y,z,roll_deg,pitch_deg,yaw_deg\n0.5,1,2,3,10,-20,50\n1.5,1,2,3,10,-20,50\n"),
+        (
+            0.5,
+            "time,x,y,z,roll [rad],pitch [rad],yaw [rad]\n"
+            + "".join(f"{t},1,2,3,{np.pi / 18},{-np.pi / 9},{np.pi / 3.6}\n" for t in (0.5, 1.5)),
+        ),
+        (1.7e9, f"1700000000000 {POSE}\n1700000001000 {POSE}\n".replace(",", " ")),
+        (1.7e9, f"1700000000000000000,{POSE}\n1700000001000000000,{POSE}\n"),
+        (
+            1.7e9,
+            "#timestamp [ns], p_RS_R_x [m], p_RS_R_y [m], p_RS_R_z [m], q_RS_w [], q_RS_x [], q_RS_y [], q_RS_z [],"
+            " v_RS_R_x [m s^-1]\n"
+            + "".join(f"{t}000000000,1,2,3,{W},{X},{Y},{Z},7\n" for t in (1700000000, 1700000001)),
+        ),
+        (1.7e9 + 0.5, f"#sec,nsec,{NAMES}\n1700000000,500000000,{POSE}\n1700000001,500000000,{POSE}\n"),
+        (
+            1.7e9,
+            f"%time,field.header.stamp,field.header.frame_id,{named('field.pose.')}\n"
+            f"1700000009000000000,1700000000000000000,map,{POSE}\n1700000009900000000,1700000001000000000,map,{POSE}\n",
+        ),
+        (
+            1.7e9 + 0.5,
+            f"Time,header.stamp.secs,header.stamp.nsecs,{named('pose.pose.')},pose.covariance,twist.twist.linear.x\n"
+            + "".join(f'{t}.9,{t},500000000,{POSE},"(0.1, 0.2)",7\n' for t in (1700000000, 1700000001)),
+        ),
+        (0.5, f"__time,{named('/odom/pose/pose/', '/')}\n0.5,{POSE}\n1.5,{POSE}\n"),
+    ],
+)
+def test_poses_of_many_programs_are_the_same(begin_s: float, content: str, tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text(content, encoding="utf-8")
+    read = read_trajectory(tmp_path / "a.csv")
+    np.testing.assert_allclose(read.stamp_s, [begin_s, begin_s + 1], rtol=0, atol=3e-7)
+    np.testing.assert_array_equal(read.position, [[1, 2, 3]] * 2)
+    np.testing.assert_allclose(read.T_world_drone[:, :3, :3], [TURN.as_matrix()] * 2, atol=1e-12)
+
+
+def test_poses_of_kitti_take_their_stamps_from_the_file_beside(tmp_path: Path) -> None:
+    matrix = np.column_stack([TURN.as_matrix(), [1, 2, 3]])
+    np.savetxt(tmp_path / "00.txt", [matrix.ravel()] * 3)
+    with pytest.raises(InputError, match=r"12 numbers per line \(KITTI\) without stamps; expected them in times.txt"):
+        read_trajectory(tmp_path / "00.txt")
+    np.savetxt(tmp_path / "times.txt", [0, 0.1, 0.2])
+    read = read_trajectory(tmp_path / "00.txt")
+    np.testing.assert_array_equal(read.stamp_s, [0, 0.1, 0.2])
+    np.testing.assert_allclose(read.T_world_drone[:, :3], [matrix] * 3, atol=1e-12)
+    np.savetxt(tmp_path / "times.txt", [0, 0.1])
+    with pytest.raises(InputError, match=r"3 poses, 2 stamps in times.txt"):
+        read_trajectory(tmp_path / "00.txt")
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        ("1 2 3 4 5 6 7\n", "7 numbers per line, without names; expected 8"),
+        (f"{NAMES}\n{POSE}\n", "none for stamp; expected stamp, x, y"),
+        ("# time x y z q1 q2 q3 q4\n0 1 2 3 0 0 0 1\n", "none for qx, qy, qz, qw"),
+        ("a,b,c,d,e,f,g,h\n1,2,3,4,5,6,7,8\n", "columns a, b, c, d, e, f, g, h; expected stamp, x"),
+        ("t,x,y,z,roll,pitch,yaw\n0,1,2,3,0,0,90\n", "without their unit; expected names such as roll_deg"),
+        (f"t,x_mm,y_mm,z_mm,qx,qy,qz,qw\n0,{POSE}\n", "in mm; expected metres"),
+        ("50000000000 1 2 3 0 0 0 1\n50100000000 1 2 3 0 0 0 1\n", "stamps 1e.08 s apart; expected seconds"),
+        ("0 1 2 3 0 0 0 1\n1 1 2 3 0 0\n", "line 2 has 6 fields"),
+        ("2 " * 12 + "\n", "without stamps"),
+        ("0 1e30 2 3 0 0 0 1\n", "1 poses, none valid"),
+    ],
+)
+def test_unclear_trajectories_are_refused(content: str, message: str, tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text(content)
+    with pytest.raises(InputError, match=rf"a.csv: .*{message}"):
+        read_trajectory(tmp_path / "a.csv")
+
+
+def test_a_written_trajectory_is_read_by_us_and_by_evo(tmp_path: Path) -> None:
+    from evo.tools.file_interface import read_tum_trajectory_file
+
+    written = poses(20, begin_s=1_700_000_000.0)
+    write_tum(tmp_path / "a.tum", written)
+    read = read_trajectory(tmp_path / "a.tum")
+    np.testing.assert_array_equal(read.stamp_s, written.stamp_s)
+    np.testing.assert_allclose(read.T_world_drone, written.T_world_drone, atol=1e-12)
+    np.testing.assert_allclose(read_tum_trajectory_file(str(tmp_path / "a.tum")).poses_se3, written.T_world_drone)
+
+
+def test_invalid_poses_are_dropped_and_files_without_valid_poses_refused(tmp_path: Path) -> None:
+    lines = ["# stamp x y z qx qy qz qw", "2 1 0 0 0 0 0 2", "1 0 0 0 0 0 0 1", "1 5 0 0 0 0 0 1", "3 nan 0 0 0 0 0 1"]
+    (tmp_path / "a.tum").write_text("\n".join([*lines, "4 0 0 0 0 0 0 0"]))
+    read = read_trajectory(tmp_path / "a.tum")
+    np.testing.assert_array_equal(read.stamp_s, [1.0, 2.0])
+    np.testing.assert_array_equal(read.position[:, 0], [0.0, 1.0])
+    for content, message in (
+        ("4 0 0 0 0 0 0 0", "1 poses, none valid"),
+        ("1 2 3", "3 numbers per line"),
+        ("a b", "TUM trajectory .*no line of numbers"),
+    ):
+        (tmp_path / "b.tum").write_text(content)
+        with pytest.raises(InputError, match=message):
+            read_trajectory(tmp_path / "b.tum")
