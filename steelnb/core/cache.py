@@ -9,9 +9,14 @@ import functools
 import hashlib
 import importlib.metadata
 import os
+import pickle
+import tempfile
+import warnings
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
+
+from steelnb.core.sealed import Sealed
 
 if TYPE_CHECKING:
     from joblib import Memory
@@ -60,17 +65,27 @@ def cached(make: Callable[[], T], *key: object, folder: str | None = None) -> T:
     folder = folder or os.environ.get(CACHE_VARIABLE)
     if not folder:
         return make()
-    return _memory(folder).cache(_call, ignore=["make"])(make, key, SOURCES)
+    memory = _memory(folder)
+    if memory is None:
+        return make()
+    found: Any = memory.cache(_call, ignore=["make"])(make, key, SOURCES)
+    return pickle.loads(found.data) if isinstance(found, Sealed) else found  # just made, or loaded
 
 
-def _call(make: Callable[[], T], key: tuple[object, ...], sources: str) -> T:
-    return make()
+def _call(make: Callable[[], object], key: tuple[object, ...], sources: str) -> Sealed:
+    return Sealed(pickle.dumps(make(), protocol=pickle.HIGHEST_PROTOCOL))
 
 
 @functools.cache
-def _memory(folder: str) -> "Memory":
+def _memory(folder: str) -> "Memory | None":
+    """The cache in a folder. None, after a warning, if it is not writable."""
     from joblib import Memory
 
-    memory = Memory(folder, verbose=0)
-    memory.reduce_size(bytes_limit=BYTES_MAX)
+    try:
+        memory = Memory(folder, verbose=0)
+        tempfile.TemporaryFile(dir=folder).close()
+        memory.reduce_size(bytes_limit=BYTES_MAX)
+    except OSError as fault:
+        warnings.warn(f"{folder}: nothing is cached here: {fault.strerror or fault}", stacklevel=3)
+        return None
     return memory

@@ -3,9 +3,9 @@
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from steelnb.core.kernels import njit
 from steelnb.core.types import Array, IntArray, Segments
 from steelnb.fusion.joints import BEND_MAX, BEND_MIN, REACH_M
 from steelnb.fusion.ridges import ridge_points

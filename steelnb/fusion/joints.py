@@ -5,11 +5,11 @@ import math
 from dataclasses import replace
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
+from steelnb.core.kernels import njit
 from steelnb.core.types import Array, IntArray, Segments
 
 BEND_MIN, BEND_MAX = math.cos(math.radians(1.5)), math.cos(math.radians(10))

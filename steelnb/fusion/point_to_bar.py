@@ -11,9 +11,9 @@ from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from steelnb.core.kernels import njit
 from steelnb.core.types import Array, IntArray, Segments
 from steelnb.fusion.adjustment.problem import Bars
 from steelnb.fusion.sections import shapes

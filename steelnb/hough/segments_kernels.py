@@ -6,8 +6,8 @@ A piece is a range (first, one past last) in ``order``, which holds indices of p
 import math
 
 import numpy as np
-from numba import njit
 
+from steelnb.core.kernels import njit
 from steelnb.hough.transform import fit_line
 from steelnb.points.moments import NO_MOMENTS, add_moments, covariance, moments_about_mean, principal_axis, store
 

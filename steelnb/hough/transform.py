@@ -12,8 +12,8 @@ lines are identical.
 from heapq import heapify, heapreplace
 
 import numpy as np
-from numba import njit
 
+from steelnb.core.kernels import njit
 from steelnb.points.moments import moments_about_mean, principal_axis
 
 BLOCK = 256

@@ -12,8 +12,8 @@ and thickness b/12, as rolled ones have, that is 0.1145 b, and the mean width of
 """
 
 import numpy as np
-from numba import njit
 
+from steelnb.core.kernels import njit
 from steelnb.core.types import Array
 from steelnb.odometry.loam.features import STEP_M
 from steelnb.points.ranges import ranges_ahead

@@ -3,8 +3,8 @@
 import math
 
 import numpy as np
-from numba import njit
 
+from steelnb.core.kernels import njit
 from steelnb.core.types import Array, IntArray
 from steelnb.points.kdtree import KdTree, build_kdtree, nearest_k, within_radius
 from steelnb.points.moments import NO_MOMENTS, add_point, covariance, eigen

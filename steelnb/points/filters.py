@@ -3,8 +3,8 @@
 import math
 
 import numpy as np
-from numba import njit
 
+from steelnb.core.kernels import njit
 from steelnb.core.types import Array, Scan
 from steelnb.points.voxel_kernels import find, hash_table, put
 from steelnb.settings import PreprocessSettings

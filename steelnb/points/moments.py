@@ -7,7 +7,7 @@ Symmetric matrices are upper triangles in the order xx xy xz yy yz zz.
 
 import math
 
-from numba import njit
+from steelnb.core.kernels import njit
 
 NO_MOMENTS = (0.0,) * 10
 

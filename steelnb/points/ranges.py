@@ -3,10 +3,10 @@
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numba.extending import register_jitable
 
 from steelnb.core.checks import checked_cloud
+from steelnb.core.kernels import njit
 from steelnb.core.types import Array
 
 SIGMA_M, SIGMA_SHARE = 0.01, 0.01

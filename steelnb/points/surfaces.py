@@ -4,11 +4,11 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numba import njit
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
+from steelnb.core.kernels import njit
 from steelnb.core.types import Array, IntArray
 from steelnb.points.moments import eigen
 from steelnb.points.voxel_kernels import find, hash_table, offsets_within

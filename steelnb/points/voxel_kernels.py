@@ -1,8 +1,8 @@
 """Compiled parts of the voxel map: a hash table of voxels with open addressing, and the moments of their points."""
 
 import numpy as np
-from numba import njit
 
+from steelnb.core.kernels import njit
 from steelnb.core.types import IntArray
 from steelnb.points.moments import NO_MOMENTS, add_moments, add_point, covariance, store
 

@@ -6,8 +6,8 @@ conditioned at any distance from the origin, and v is the translation of the sca
 """
 
 import numpy as np
-from numba import njit
 
+from steelnb.core.kernels import njit
 from steelnb.core.robust import geman_mcclure
 
 POINT, PLANE, GICP = 0, 1, 2

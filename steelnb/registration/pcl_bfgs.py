@@ -8,8 +8,8 @@ pitch and yaw about the axes of the world, applied in this order.
 import math
 
 import numpy as np
-from numba import njit
 
+from steelnb.core.kernels import njit
 from steelnb.points.covariances import FULL, UPPER
 
 STEPS_MAX = 20

@@ -6,10 +6,10 @@ from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
-from numba import njit
 
 from steelnb.core.checks import checked_cloud
 from steelnb.core.errors import InputError
+from steelnb.core.kernels import njit
 from steelnb.core.types import Array, IntArray
 from steelnb.points import VoxelShapes
 from steelnb.points.covariances import NEIGHBOURS, PlaneCovariances, neighbour_covariances, normals

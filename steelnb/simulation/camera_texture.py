@@ -10,9 +10,9 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from steelnb.core import rng
+from steelnb.core.kernels import njit
 from steelnb.core.types import Array, Floats
 from steelnb.simulation.members import ON_PLATE
 from steelnb.simulation.raycasting import Hits

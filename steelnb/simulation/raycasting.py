@@ -7,8 +7,8 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 
+from steelnb.core.kernels import njit
 from steelnb.core.lazy_open3d import import_open3d
 from steelnb.core.types import Array, IntArray
 from steelnb.settings import CameraSettings

@@ -16,8 +16,8 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from steelnb.core.kernels import njit
 from steelnb.core.types import Array, Floats, IntArray
 from steelnb.settings import TofFault, TofSettings
 from steelnb.simulation.members import GROUND

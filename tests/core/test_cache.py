@@ -113,13 +113,14 @@ def test_changed_sources_and_unreadable_entries_are_computed_again(folder, made,
     first, _ = experiment.simulate(SETTINGS)
     (file,) = folder.rglob("output.pkl")
     whole = file.read_bytes()
-    for damaged in (whole[: len(whole) // 2], b"", b"hello"):
+    changed = whole[: len(whole) // 2] + bytes([whole[len(whole) // 2] ^ 1]) + whole[len(whole) // 2 + 1 :]
+    for damaged in (whole[: len(whole) // 2], b"", b"hello", changed):
         file.write_bytes(damaged)
         assert_same(first, experiment.simulate(SETTINGS)[0])
-    assert made == ["fly"] * 4
+    assert made == ["fly"] * 5
     monkeypatch.setattr(cache, "SOURCES", "other code")
     experiment.simulate(SETTINGS)
-    assert made == ["fly"] * 5
+    assert made == ["fly"] * 6
 
 
 def test_sources_include_code_and_presets_but_not_pictures(tmp_path, monkeypatch):

@@ -11,12 +11,12 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from steelnb.core.errors import InputError
 from steelnb.core.geometry import POSE_DOF, moved_poses
+from steelnb.core.kernels import njit
 from steelnb.core.types import GRAVITY, Array, Imu, Trajectory
 from steelnb.fusion.adjustment.drift_factors import ChainEquations, chain_equations
 from steelnb.settings import ImuSettings

@@ -8,8 +8,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from steelnb.core.kernels import njit
 from steelnb.core.robust import weighted_geman_mcclure
 from steelnb.core.types import Array, IntArray
 from steelnb.fusion.adjustment.drift_factors import pose_size

@@ -7,9 +7,9 @@ the Schur complement.
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from scipy.linalg import block_diag, cho_factor, cho_solve
 
+from steelnb.core.kernels import njit
 from steelnb.core.types import Array
 from steelnb.fusion.adjustment.drift_factors import ChainEquations, prior_equations
 from steelnb.fusion.adjustment.imu_factors import STATE_DOF

@@ -16,8 +16,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from steelnb.core.kernels import njit
 from steelnb.core.types import Array, IntArray
 from steelnb.fusion.sections.fit import ROUND_DOF, fit_section, profiles, robust, section_step, settle
 from steelnb.fusion.sections.histogram import cells_of, edges_of, merged_cells

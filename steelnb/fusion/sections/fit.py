@@ -9,8 +9,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from steelnb.core.kernels import njit
 from steelnb.core.robust import weighted_geman_mcclure
 from steelnb.core.types import Array
 from steelnb.fusion.sections.histogram import VIEWS, direction_of

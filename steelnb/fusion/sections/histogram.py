@@ -7,8 +7,8 @@ show (`sections.fit`).
 import math
 
 import numpy as np
-from numba import njit
 
+from steelnb.core.kernels import njit
 from steelnb.fusion.sections.shapes import in_frame, sighting
 
 VIEWS, CELLS, PARTS = 24, 32, 6

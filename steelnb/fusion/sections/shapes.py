@@ -13,9 +13,9 @@ has no flange (NaN), and its turn is the direction of its normal, to the only si
 import math
 
 import numpy as np
-from numba import njit
 
 from steelnb.core.angle_section import centroid_growth, centroid_m
+from steelnb.core.kernels import njit
 from steelnb.core.types import Array
 from steelnb.points.ranges import range_sigma_m
 

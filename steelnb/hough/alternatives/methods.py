@@ -7,9 +7,9 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
-from numba import njit
 
 from steelnb.core.errors import InputError
+from steelnb.core.kernels import njit
 from steelnb.core.lazy_open3d import import_open3d
 from steelnb.core.rng import stream
 from steelnb.core.types import Array, Lines, Segments

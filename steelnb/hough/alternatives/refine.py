@@ -3,8 +3,8 @@
 from collections.abc import Callable
 
 import numpy as np
-from numba import njit
 
+from steelnb.core.kernels import njit
 from steelnb.core.types import Array, IntArray, Lines, Segments
 from steelnb.hough.segments import cut_and_sort
 from steelnb.hough.segments_kernels import filter_pieces, merge

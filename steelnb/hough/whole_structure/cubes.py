@@ -3,8 +3,8 @@
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from steelnb.core.kernels import njit
 from steelnb.core.types import Array, IntArray
 from steelnb.points.voxel_kernels import REACH, find, hash_table, pack
 

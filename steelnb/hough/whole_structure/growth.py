@@ -3,9 +3,9 @@
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from steelnb.core.kernels import njit
 from steelnb.core.types import Array, IntArray
 from steelnb.hough.segments_kernels import span
 from steelnb.hough.transform import fit_line

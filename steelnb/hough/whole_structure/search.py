@@ -12,9 +12,9 @@ import itertools
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from steelnb.core.kernels import njit
 from steelnb.core.types import Array, Segments
 from steelnb.hough.segments import GAP, detect_segments
 from steelnb.hough.whole_structure.cubes import Line, sort_into_cubes, walk

@@ -8,8 +8,8 @@ around a bar with the viewpoint.
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from steelnb.core.kernels import njit
 from steelnb.core.types import Array, IntArray
 
 SIDE = 5

@@ -3,8 +3,8 @@
 from dataclasses import dataclass, field
 
 import numpy as np
-from numba import njit
 
+from steelnb.core.kernels import njit
 from steelnb.core.types import Array, IntArray
 from steelnb.points.kdtree import KdTree, build_kdtree, nearest_k
 from steelnb.points.moments import NO_MOMENTS, add_point, covariance, eigen
