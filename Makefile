@@ -29,8 +29,9 @@ $(READY): environment.lock pyproject.toml
 	@command -v $(PYTHON) >/dev/null || { echo "$(PYTHON) not found: install Python 3.11, or name it: make PYTHON=/path/to/python3.11"; exit 1; }
 	@scripts/system-libraries $(LIBRARIES)
 	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile --require-hashes -r environment.lock
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r environment.lock
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation -e .
+	@$(BIN)/python -m workflow kernels
 	@touch $@
 
 # ONLY="id ..." selects notebooks, BUDGET=smoke shortens them, OUT=folder redirects the results, P="seed=3 tof.rate_hz=10" sets parameters.

@@ -103,6 +103,15 @@ def digests(
 
 
 @app.command()
+def kernels() -> int:
+    """Compile the kernels that notebooks, commands and tests need, into the package's cache."""
+    from workflow.kernels import compile_kernels
+
+    compile_kernels(find_root())
+    return 0
+
+
+@app.command()
 def bits() -> int:
     """Compute the digests as other processors would, natively and emulated, and print a table."""
     from workflow.digests import bits

@@ -1,4 +1,4 @@
-"""`njit`: Numba's, with a cache of compiled code that may be missing, not writable or damaged.
+"""`njit`: Numba's, with a cache of compiled code that may be missing, not writable or damaged, and a word to the user.
 
 Numba raises "no locator available" at the import of a kernel if neither the package nor the user's home is writable,
 and raises or crashes on damaged files of its cache.
@@ -9,19 +9,23 @@ import functools
 import os
 import pickle
 import stat
+import sys
 import tempfile
+import time
 import warnings
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numba
-from numba.core import caching
+from numba.core import caching, event
 
 from steelnb.core.sealed import Sealed
 
 CACHE_DIR = "NUMBA_CACHE_DIR"
 """Numba's variable for the folder of its cache."""
+QUIET_S = 2.0
+"""Compiling for less than this is not mentioned."""
 
 
 def njit(*, cache: bool, **options: Any) -> Callable[[Callable[..., Any]], Any]:
@@ -104,3 +108,29 @@ def _use_temporary_folder() -> None:
             os.environ[CACHE_DIR] = numba.config.CACHE_DIR = str(folder)  # type: ignore[attr-defined]
             kept = f"it is kept in {folder}"
     warnings.warn(f"no writable cache for compiled code: {kept}; {CACHE_DIR} can name a folder for it", stacklevel=2)
+
+
+class Compiling(event.Listener):  # type: ignore[misc]
+    """Counts the kernels that are compiled and the seconds that this takes, and says so once to a person."""
+
+    def __init__(self) -> None:
+        self.count, self.seconds = 0, 0.0
+        self._depth, self._began, self._told = 0, 0.0, False
+
+    def on_start(self, event: Any) -> None:
+        if self._depth == 0:
+            self._began = time.monotonic()
+            if self.seconds > QUIET_S and not self._told and ("ipykernel" in sys.modules or sys.stderr.isatty()):
+                self._told = True
+                print("steelnb: compiling kernels, once, about two minutes", file=sys.stderr, flush=True)
+        self._depth += 1
+
+    def on_end(self, event: Any) -> None:
+        self._depth -= 1
+        self.count += 1
+        if self._depth == 0:
+            self.seconds += time.monotonic() - self._began
+
+
+compiling = Compiling()
+event.register("numba:compile", compiling)

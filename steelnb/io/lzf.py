@@ -1,8 +1,9 @@
 """LZF, the compression of PCD files."""
 
-import numba as nb
 import numpy as np
 from numpy.typing import NDArray
+
+from steelnb.core.kernels import njit
 
 
 def lzf_unpacked(packed: NDArray[np.uint8], size: int) -> NDArray[np.uint8]:
@@ -13,7 +14,7 @@ def lzf_unpacked(packed: NDArray[np.uint8], size: int) -> NDArray[np.uint8]:
     return unpacked
 
 
-@nb.njit(cache=True)
+@njit(cache=True)
 def _unpack(packed, unpacked):
     """Whether the data are sound. A control byte below 32 is followed by that many bytes and one more; else its three
     upper bits, with a further byte if all are set, are the length of an earlier stretch that is repeated."""

@@ -1,0 +1,47 @@
+"""The kernels that notebooks, commands and tests need, compiled once, into the package's cache."""
+
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+from joblib import Parallel, delayed
+
+from steelnb.core.kernels import compiling
+from steelnb.fusion.whole_cloud import bars_of_cloud
+from steelnb.hough.alternatives.methods import find_bars_by
+from workflow.digests import SHORT, digests
+
+FLIGHTS = (("starling2", "loops"), ("starling2-honest", "zigzag"), ("report", "orbit"))
+
+
+def compile_kernels(root: Path) -> None:
+    """Call everything on short flights, which compiles what is missing. Prints one line."""
+    began = time.monotonic()
+    print("compiling kernels, once, about two minutes", file=sys.stderr, flush=True)
+    jobs = [*(delayed(_fly)(*flight) for flight in FLIGHTS), delayed(_search)()]
+    counts = Parallel(n_jobs=2, batch_size=1)(jobs)
+    size = sum(file.stat().st_size for file in (root / "steelnb").rglob("__pycache__/*.nb?"))
+    seconds = time.monotonic() - began
+    print(f"{sum(counts)} kernels compiled in {seconds:.0f} s: {size / 1e6:.0f} MB in steelnb/**/__pycache__")
+
+
+def _fly(sensor: str, trajectory: str) -> int:
+    before = compiling.count
+    settings = SHORT if sensor != "report" else {**SHORT, "overrides": {}}
+    for _ in digests(settings, sensor, trajectory):
+        pass
+    return compiling.count - before
+
+
+def _search() -> int:
+    """Whole clouds, by all methods."""
+    before = compiling.count
+    random = np.random.default_rng(0)
+    along = random.uniform(0, 3, (3, 3000))
+    bars = np.concatenate([np.outer(each, axis) for each, axis in zip(along, np.eye(3), strict=True)])
+    points = bars + random.normal(scale=0.01, size=bars.shape)
+    bars_of_cloud(points)
+    for method in ("hough", "ransac-lines"):
+        find_bars_by(method, points)
+    return compiling.count - before
