@@ -153,6 +153,8 @@ def _make_world(pybullet, client: int, tower: Tower, start: list[float], yaw: fl
     mesh = {"vertices": tower.vertices.tolist(), "indices": tower.triangles.ravel().tolist()}
     # Without this flag PyBullet collides with the convex hull of the tower.
     pybullet.createMultiBody(0, shape(pybullet.GEOM_MESH, flags=pybullet.GEOM_FORCE_CONCAVE_TRIMESH, **mesh), **at)
+    for numbers in mesh.values():
+        numbers.clear()  # PyBullet keeps a reference to both lists for good (bullet3#2898)
     pybullet.createMultiBody(0, shape(pybullet.GEOM_PLANE), **at)
     box = shape(pybullet.GEOM_BOX, halfExtents=HALF_BOX_M)
     body = pybullet.createMultiBody(MASS_KG, box, -1, start, pybullet.getQuaternionFromEuler((0, 0, yaw)), **at)
