@@ -112,5 +112,6 @@ def cloud_trials(
     """Rows of one cloud: the first method under all conditions, the others as the cloud is."""
     cloud, truth = merged_cloud(tower, seed, duration_s)
     cases = [(methods[0], each) for each in conditions] + [(each, conditions[0]) for each in methods[1:]]
+    cases = list(dict.fromkeys(cases))
     rows = [cloud_trial(method, each, cloud, truth, seed, **options.get(method, {})) for method, each in cases]
     return pd.DataFrame(rows).assign(tower=tower)
