@@ -1,4 +1,4 @@
-"""Reader of point files: NPY, PLY (trimesh), PCD (Open3D), LAS and LAZ (laspy), and text (pandas)."""
+"""Reader of point files: NPY, PLY (trimesh), PCD (Open3D), LAS and LAZ (laspy), and text (pandas). Writer of PLY."""
 
 import re
 from collections.abc import Callable, Mapping
@@ -12,7 +12,7 @@ import pandas as pd
 from steelnb.core.errors import InputError
 from steelnb.core.files import reading
 from steelnb.core.lazy_open3d import import_open3d
-from steelnb.core.types import Array
+from steelnb.core.types import Array, IntArray
 from steelnb.hough.lines import spacing
 
 SHIFT_FROM_M, SHIFT_STEP_M = 1e4, 100.0
@@ -132,3 +132,13 @@ READERS: Mapping[str, Callable[[Path], Any]] = {
     ".xyz": _read_text, ".txt": _read_text, ".csv": _read_text,
 }  # fmt: skip
 """Reader of each suffix."""
+
+
+def write_map(path: Path | str, points: Array, bar: IntArray) -> None:
+    """Write points ``(N, 3)`` in metres, and the bar ``(N,)`` of each as the property ``bar``, to a binary
+    little-endian PLY file. Coordinates are doubles, so that UTM keeps its millimetres."""
+    vertex = np.empty(len(points), [("x", "<f8"), ("y", "<f8"), ("z", "<f8"), ("bar", "<i4")])
+    vertex["x"], vertex["y"], vertex["z"], vertex["bar"] = *points.T, bar
+    header = f"ply\nformat binary_little_endian 1.0\nelement vertex {len(points)}\n"
+    header += "property double x\nproperty double y\nproperty double z\nproperty int bar\nend_header\n"
+    Path(path).write_bytes(header.encode() + vertex.tobytes())
