@@ -1,6 +1,5 @@
 """The command line: thin commands, and one line per error. Heavy imports wait until a command runs."""
 
-import io
 import signal
 import sys
 import tomllib
@@ -12,7 +11,7 @@ import typer
 import steelnb
 from steelnb.core.errors import InputError, SteelnbError
 from steelnb.core.files import check_folder, display_name
-from steelnb.core.terminal import progress, warn
+from steelnb.core.terminal import prepare_terminal, progress, say, warn
 
 EXIT_CODES = """\b
 Exit codes:
@@ -41,20 +40,18 @@ Force = Annotated[bool, typer.Option("--force", metavar=NO_VALUE, help="Overwrit
 
 def main(arguments: list[str] | None = None) -> int:
     """Run the command line and return the exit code."""
-    for stream in (sys.stdout, sys.stderr):  # a name, or a sign such as °, that the terminal cannot show becomes ?
-        if isinstance(stream, io.TextIOWrapper):
-            stream.reconfigure(errors="replace")
     signal.signal(signal.SIGTERM, lambda number, _: sys.exit(128 + number))  # removes hidden folders
     return call(app, "steelnb", arguments or sys.argv[1:] or ["--help"])
 
 
 def call(app: typer.Typer, name: str, arguments: list[str] | None) -> int:
     """Run a command line and return the exit code. User errors go to stderr, in one line each."""
+    prepare_terminal()
     try:
         code = app(arguments, prog_name=name, standalone_mode=False)
     except (SteelnbError, typer.TyperException) as fault:
         message = fault.format_message() if isinstance(fault, typer.TyperException) else str(fault)
-        print(f"{name}: error:", " ".join(message.split())[:1000], file=sys.stderr)
+        say(f"{name}: error: {' '.join(message.split())[:1000]}", sys.stderr)
         return 2
     except KeyboardInterrupt:
         code = 130
@@ -63,7 +60,7 @@ def call(app: typer.Typer, name: str, arguments: list[str] | None) -> int:
 
 def _version(is_set: bool) -> None:
     if is_set:
-        print(f"steelnb {steelnb.__version__}")
+        say(f"steelnb {steelnb.__version__}")
         raise typer.Exit
 
 
@@ -146,9 +143,9 @@ def run(
         flight = read_flight(recording, scans=scans, poses=poses, T_drone_sensor=parse_mount(mount), **clocks)
         true, scene = read_truth(recording, truth=truth), Scene.of(flight)
         settings, structure = recording_settings(scene=scene, **options)
-        print("\n".join((*opened_lines(flight), settings_line(settings))), flush=True)
+        say("\n".join((*opened_lines(flight), settings_line(settings))))
         report = run_recording(flight, target, settings, structure, true, on_share, on_stage, own=own, other=other)
-    print("\n".join(report.summary))
+    say("\n".join(report.summary))
     warn(*voxel_warning(settings, scene), *report.warnings)
 
 
@@ -184,7 +181,7 @@ def record(
         flight, truth = experiment.simulate(settings, on_share)
         on_stage(f"writing {file.name}")
         write_flight(file, flight, truth.trajectory, on_share, overwrite=force)
-    print(f"{file} written: {len(flight)} scans with drifting poses; the truth is {truth_path(file).name} beside it")
+    say(f"{file} written: {len(flight)} scans with drifting poses; the truth is {truth_path(file).name} beside it")
 
 
 @app.command(epilog="\b\nExample:\n  steelnb segment tower.laz --dx 0.08 -o bars")
@@ -212,7 +209,7 @@ def segment(
         check_folder(target, force)
         on_stage(f"finding bars in {cloud.name}")
         result = segment_file(cloud, target, voxel_m=voxel, dx_m=dx, min_votes=min_votes, scene=scene)
-    print("\n".join(result.summary))
+    say("\n".join(result.summary))
     warn(*result.warnings)
 
 
@@ -232,8 +229,8 @@ def study(
     write_runs(output, table)
     failed = table[table["status"] == "failed"]
     for run in failed.itertuples():
-        print(f"{run.method}, {run.trajectory}, seed {run.seed}: {run.error.splitlines()[-1]}", file=sys.stderr)
-    print(f"{output / RUNS} written: {len(table)} runs, {len(failed)} of them failed")
+        say(f"{run.method}, {run.trajectory}, seed {run.seed}: {run.error.splitlines()[-1]}", sys.stderr)
+    say(f"{output / RUNS} written: {len(table)} runs, {len(failed)} of them failed")
     return int(len(failed) > 0)
 
 

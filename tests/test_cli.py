@@ -125,7 +125,7 @@ def test_bad_input_is_one_line_exit_2_and_writes_nothing(
 
 def test_a_flight_is_recorded_and_corrected(here: Path, corrected: Path) -> None:
     files = {path.name for path in corrected.iterdir()}
-    assert files == {"corrected.tum", "segments.csv", "structure.json", "table.csv", "path.png", "map.png"}
+    assert files == {"corrected.tum", "segments.csv", "structure.json", "table.csv", "path.png", "map.png", "map.ply"}
     numbers = pd.read_csv(corrected / "table.csv", index_col="quantity")["value"]
     assert numbers["corrected_ate_rmse_m"] < 0.7 * numbers["prior_ate_rmse_m"]
     found, truth = read_trajectory(corrected / "corrected.tum"), read_truth(here / "a.mcap")

@@ -1,14 +1,40 @@
 """What a command tells its user on a terminal: progress and warnings."""
 
+import io
+import os
 import sys
+import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from typing import TextIO
+
+
+def prepare_terminal() -> None:
+    """Show ``?`` for characters that the terminal's encoding lacks, and each warning of Python as one line."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="replace")
+    warnings.showwarning = lambda message, *_: warn(str(message))
+
+
+def say(text: str, file: TextIO | None = None) -> None:
+    """Print text to stdout, or to another stream, at once. If that fails, nothing more is printed and the command goes
+    on; a reader that has gone, as that of ``| head -1``, is no fault."""
+    stream = file or sys.stdout
+    try:
+        print(text, file=stream, flush=True)
+    except OSError as fault:
+        null = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(null, stream.fileno())  # what is still in the buffer goes there
+        os.close(null)
+        if not isinstance(fault, BrokenPipeError):
+            warn(f"stdout: {fault.strerror}; what follows is not printed")
 
 
 def warn(*messages: str) -> None:
     """Print warnings to stderr, one line each."""
     for message in messages:
-        print("steelnb: warning:", message, file=sys.stderr)
+        say(f"steelnb: warning: {message}", sys.stderr)
 
 
 @contextmanager

@@ -1,4 +1,5 @@
-"""Reader of point files: NPY, PLY, PCD, LAS, LAZ and text. What it does not understand is refused, not guessed."""
+"""Reader of point files: NPY, PLY, PCD, LAS, LAZ and text. What it does not understand is refused, not guessed.
+Writer of PLY."""
 
 import warnings
 from collections.abc import Callable, Mapping
@@ -11,7 +12,7 @@ import pandas as pd
 
 from steelnb.core.errors import InputError
 from steelnb.core.files import reading
-from steelnb.core.types import Array
+from steelnb.core.types import Array, IntArray
 from steelnb.hough.lines import spacing
 from steelnb.io.las import read_las
 from steelnb.io.pcd import read_pcd
@@ -150,3 +151,13 @@ READERS: Mapping[str, Callable[[Path], Any]] = {
     ".xyz": _read_text, ".txt": _read_text, ".csv": _read_text, ".asc": _read_text, ".pts": _read_text,
 }  # fmt: skip
 """Reader of each suffix."""
+
+
+def write_map(path: Path | str, points: Array, bar: IntArray) -> None:
+    """Write points ``(N, 3)`` in metres, and the bar ``(N,)`` of each as the property ``bar``, to a binary
+    little-endian PLY file. Coordinates are doubles, so that UTM keeps its millimetres."""
+    vertex = np.empty(len(points), [("x", "<f8"), ("y", "<f8"), ("z", "<f8"), ("bar", "<i4")])
+    vertex["x"], vertex["y"], vertex["z"], vertex["bar"] = *points.T, bar
+    header = f"ply\nformat binary_little_endian 1.0\nelement vertex {len(points)}\n"
+    header += "property double x\nproperty double y\nproperty double z\nproperty int bar\nend_header\n"
+    Path(path).write_bytes(header.encode() + vertex.tobytes())

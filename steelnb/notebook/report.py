@@ -65,7 +65,7 @@ def report_cases(
     """
     cases = []
     shown_runs = [plot for plot in read_report_plots() if not plot.run]
-    for flight, shown in itertools.product(trajectory, methods):
+    for flight, shown in itertools.product(dict.fromkeys(trajectory), methods):
         plots = [plot for plot in shown_runs if (plot.trajectory, plot.method) == (flight, shown)]
         if not plots:
             raise InputError(f"no plot of the report shows {shown!r} on the flight {flight!r}")
@@ -74,7 +74,7 @@ def report_cases(
             ExperimentSettings.report(
                 plot.figure, flight, shown, method, overrides, "", noise, sensor, seed, duration_s
             )
-            for method in methods[shown]
+            for method in dict.fromkeys(methods[shown])
         ]  # fmt: skip
     return cases
 

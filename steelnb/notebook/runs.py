@@ -64,19 +64,23 @@ def run_all(
 ) -> list[Any]:
     """Run the ``task`` for each case, and return what it returns, in order: by default, `experiment.Result`.
 
-    Cases in one world share a flight, and their odometries the segments of its scans; if ``timed``, each finds its own,
-    so that its time is its own. ``jobs``: number of worlds at once, -1 for one per core, None for that of
-    `joblib.parallel_config`. ``on_progress`` is called after each world and, with one job, also during it.
+    Equal cases run once and share their result. Cases in one world share a flight, and their odometries the segments of
+    its scans; if ``timed``, each finds its own, so that its time is its own. ``jobs``: number of worlds at once, -1 for
+    one per core, None for that of `joblib.parallel_config`. ``on_progress`` is called after each world and, with one
+    job, also during it.
     Raises `CollisionError`, and `InputError` without a case or a job, or if a worker has other code or libraries than
     this process.
     """
-    cases = list(cases)
+    given = [(case.model_dump_json(), case) for case in cases]
+    number = {key: k for k, key in enumerate(dict(given))}
+    cases = list(dict(given).values())
     worlds: dict[object, list[int]] = {}
     for k, case in enumerate(cases):
         worlds.setdefault(experiment.world(case), []).append(k)
     if not worlds or jobs == 0:
-        given = f"{len(worlds)} flights, jobs = {jobs}"
-        raise InputError(f"{given}: expected at least one of each; jobs = -1: one per core")
+        raise InputError(
+            f"{len(worlds)} flights, jobs = {jobs}: expected at least one of each; jobs = -1: one per core"
+        )
     found: dict[int, Any] = {}
 
     def within(share: float) -> None:
@@ -91,7 +95,7 @@ def run_all(
     for members, results in zip(worlds.values(), made, strict=True):
         found.update(zip(members, results, strict=True))
         within(0.0)
-    return [found[k] for k in range(len(cases))]
+    return [found[number[key]] for key, _ in given]
 
 
 def _in_one_world(

@@ -65,7 +65,7 @@ class Grid(Settings):
     """Values to combine; one table of a study's file.
 
     ``seeds``: a list, or a range such as ``"101-130"``, which includes both ends; a list may hold ranges. ``variants``:
-    name of the variant in tables → changed settings.
+    name of the variant in tables → changed settings. Values that are given twice count once.
     """
 
     seeds: Annotated[list[SeedOrReport], Field(min_length=1)]
@@ -80,6 +80,11 @@ class Grid(Settings):
     @classmethod
     def _ranges(cls, value: Any) -> Any:
         return [seed for each in (value if isinstance(value, list) else [value]) for seed in _seeds(each)]
+
+    @field_validator("seeds", "trajectories", "noises", "sensors", "methods")
+    @classmethod
+    def _once(cls, value: list[Any]) -> list[Any]:
+        return list(dict.fromkeys(value))
 
     def runs(self) -> list[Run]:
         """One run per combination. Raises `InputError`."""
@@ -116,6 +121,10 @@ def read_grids(path: Path) -> list[Run]:
             runs += each.runs()
         except InputError as fault:
             raise InputError(f"{path}: [{name}]: {fault}") from None
+    return _distinct(runs)
+
+
+def _distinct(runs: Iterable[Run]) -> list[Run]:
     return list({run.key: run for run in runs}.values())
 
 
@@ -127,7 +136,7 @@ def run_study(
 
     Parameters
     ----------
-    runs : from `grid`, or settings.
+    runs : from `grid`, or settings; equal ones give one row.
     jobs : number of flights in parallel, each with all its runs; default: that of `joblib.parallel_config`, else one.
     folder : cache of the rows. A killed call resumes from it, and only runs with changed settings or code run again.
         Workers on other machines should share the folder.
@@ -135,7 +144,7 @@ def run_study(
     A failed run has the ``status`` "failed" and a traceback as ``error``. It is not cached, so the next call tries
     again. Raises `InputError` as `run_all` does.
     """
-    wanted = [each if isinstance(each, Run) else Run(each) for each in runs]
+    wanted = _distinct(each if isinstance(each, Run) else Run(each) for each in runs)
     path = str(Path(folder).absolute())
     with tqdm(total=100, desc="runs", unit=" %", disable=None) as bar:
         found = run_all(
@@ -228,6 +237,7 @@ def write_runs(folder: Path, table: pd.DataFrame) -> None:
 def read_runs(folder: Path) -> pd.DataFrame:
     """Read the table that `write_runs` wrote. Raises `InputError`."""
     with reading(folder / RUNS, "the table of a study"):
-        table = pd.read_parquet(folder / RUNS)
+        table = pd.read_parquet(folder / RUNS).drop_duplicates("key", ignore_index=True)
     with reading(folder / TIMING, "the times of a study"):
-        return table.merge(pd.read_parquet(folder / TIMING).drop(columns=list(RUN_COLUMNS)), on="key", how="left")
+        timing = pd.read_parquet(folder / TIMING).drop_duplicates("key")
+        return table.merge(timing.drop(columns=list(RUN_COLUMNS)), on="key", how="left")

@@ -118,6 +118,7 @@ def cloud_trials(
     """
     cloud, truth = merged_cloud(tower, seed, duration_s)
     cases = [(methods[0], each) for each in conditions] + list(itertools.product(methods[1:], conditions[:2]))
+    cases = list(dict.fromkeys(cases))
     chosen = options or {}
     rows = [cloud_trial(method, each, cloud, truth, seed, **chosen.get(method, {})) for method, each in cases]
     return pd.DataFrame(rows).assign(tower=tower)

@@ -1,4 +1,5 @@
-"""Run an odometry on a recorded flight and write a folder: corrected poses, bars, structure, table, two pictures."""
+"""Run an odometry on a recorded flight and write a folder: corrected poses, bars, structure, map, table, two
+pictures."""
 
 import re
 from collections.abc import Callable, Mapping
@@ -12,12 +13,13 @@ from steelnb import odometry
 from steelnb.core.errors import InputError
 from steelnb.core.estimates import Estimate, OdometryStep
 from steelnb.core.files import new_folder
-from steelnb.core.types import Array, Flight, Scan, Segments, Trajectory
+from steelnb.core.types import Array, Flight, IntArray, Scan, Segments, Trajectory
 from steelnb.fusion.adjustment.uncertainty import axis_sigma_m
+from steelnb.fusion.mapped_scans import MappedScans
 from steelnb.fusion.reconstruct import reconstruct
 from steelnb.fusion.structure import Structure
 from steelnb.io import write_segments, write_structure, write_tum
-from steelnb.io.clouds import shift_of
+from steelnb.io.clouds import shift_of, write_map
 from steelnb.plots.flight import figure_bars, figure_flight
 from steelnb.plots.style import COLOURS, LABELS
 from steelnb.recording.evaluate import TIMES, evaluate, references
@@ -26,18 +28,21 @@ from steelnb.settings import ExperimentSettings, OrbSettings, StructureSettings
 
 WARM_UP_SCANS = 3
 """The second scan is the first to be registered. By the third, everything is loaded."""
-FILES = ("corrected.tum", "segments.csv", "structure.json", "table.csv", "path.png", "map.png")
+FILES = ("corrected.tum", "segments.csv", "structure.json", "table.csv", "path.png", "map.png", "map.ply")
 OwnOdometry = Callable[..., odometry.Odometry]
 
 
 @dataclass(frozen=True)
 class Corrected:
     """``estimate`` of the odometry; ``structure`` rebuilt with its poses; ``segments``: bars of its map or, if that has
-    none, of the structure."""
+    none, of the structure. ``points (N, 3)``: means of the voxels of all scans at the corrected poses, world frame,
+    metres; ``bar (N,)``: the number of the segment that each belongs to, −1 for none."""
 
     estimate: Estimate
     structure: Structure
     segments: Segments
+    points: Array
+    bar: IntArray
 
     def moved(self, by: Array, prior: Trajectory) -> "Corrected":
         """All of it translated by ``by (3,)``, metres, where the recorded poses are ``prior``."""
@@ -45,7 +50,7 @@ class Corrected:
             self.estimate, prior=prior, corrected=self.estimate.corrected.moved(by), points=self.estimate.points + by,
             segments=self.estimate.segments.moved(by),
         )  # fmt: skip
-        return Corrected(estimate, self.structure.moved(by), self.segments.moved(by))
+        return Corrected(estimate, self.structure.moved(by), self.segments.moved(by), self.points + by, self.bar)
 
 
 @dataclass(frozen=True)
@@ -166,11 +171,18 @@ def correct_recording(
     found = odometry.correct(flight, settings.odometry, observe, own)
     on_stage("reconstructing the bars")
     structure = structure.replace(thickness=found.thickness or structure.thickness)
+    poses = found.corrected.T_world_drone
+    points, bar = np.zeros((0, 3)), np.zeros(0, dtype=np.int64)
     try:
-        built = reconstruct(flight.scans, found.corrected.T_world_drone, flight.T_drone_sensor, structure)
+        built = reconstruct(flight.scans, poses, flight.T_drone_sensor, structure)
+        mapped = MappedScans.mapped(flight.scans, poses @ flight.T_drone_sensor, structure)
     except InputError as fault:  # no return above the floor; huge extents
-        built = Structure.empty(str(fault))
-    return Corrected(found, built, found.segments if len(found.segments) else built.segments)
+        built, mapped = Structure.empty(str(fault)), None
+    segments = found.segments if len(found.segments) else built.segments
+    if mapped is not None:
+        points = mapped.voxels.means()
+        bar = mapped.around(segments).bar_of(points)
+    return Corrected(found, built, segments, points, bar)
 
 
 def draw(
@@ -185,10 +197,12 @@ def draw(
 
 
 def write(folder: Path, found: Corrected, numbers: Mapping[str, float], origin: dict[str, str]) -> None:
-    """Write the poses and tables of `FILES`. ``origin``: names of the recording and of the method."""
+    """Write the poses, tables and map of `FILES`. ``origin``: names of the recording and of the method."""
     write_tum(folder / "corrected.tum", found.estimate.corrected)
     write_segments(found.segments, folder / "segments.csv", _sigma_m(found.estimate, found.segments))
     write_structure(found.structure, folder / "structure.json", origin)
+    if len(found.points):
+        write_map(folder / "map.ply", found.points, found.bar)
     table = pd.DataFrame({"quantity": list(numbers), "value": [f"{v:.6g}" for v in numbers.values()]})
     table.to_csv(folder / "table.csv", index=False, lineterminator="\n")
 

@@ -18,6 +18,7 @@ from steelnb.core.cache import PACKAGE
 from steelnb.core.errors import InputError, OutputError
 from steelnb.metrics import diagnose, position_error_m
 from steelnb.notebook import runs, study
+from steelnb.notebook.runs import run_all
 from steelnb.notebook.study import (
     CURVE_SAMPLES,
     CURVES,
@@ -220,6 +221,19 @@ def test_a_grid_has_every_combination_and_both_ends_of_a_range(tmp_path):
     planned = [run.settings for run in grid(**{**axes, "trajectories": ["planned"]})]
     assert len({experiment.world(settings) for settings in planned}) == len(planned)  # steered by what is estimated
     assert len(read_grids(written(tmp_path, AXES, {**AXES, "seeds": "2-3"}))) == 6, "duplicates run once"
+
+
+def test_what_is_given_twice_runs_once(tmp_path, made):
+    axes = {"trajectories": ["loops"] * 2, "noises": ["none"] * 2, "sensors": ["starling2"] * 2, "duration_s": 1.0}
+    runs = study.grid(seeds=[2, 2, "1-2"], methods=["none", "none"], **axes)
+    assert [run.case["seed"] for run in runs] == [2, 1]
+    table = run_study([*runs, *runs], folder=tmp_path / "rows")
+    assert len(table) == len(made) == 2
+    write_runs(tmp_path, pd.concat([table, table]))  # as tables of earlier versions may be
+    assert len(read_runs(tmp_path)) == 2
+    one, two, three = run_all([runs[0].settings, runs[1].settings, runs[0].settings])
+    assert one is three
+    assert [each.settings.seed for each in (one, two)] == [2, 1]
 
 
 def test_flights_whose_imus_differ_are_not_shared():

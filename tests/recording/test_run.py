@@ -8,8 +8,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from steelnb import experiment
+from steelnb.core.lazy_open3d import import_open3d
 from steelnb.core.types import Flight, Scan, Trajectory
 from steelnb.io import read_flight, read_trajectory, write_flight, write_tum
+from steelnb.io.clouds import read_points
 from steelnb.recording.evaluate import TIMES, at_scans
 from steelnb.recording.run import FILES, run_recording
 from steelnb.recording.settings import recording_settings
@@ -59,6 +61,23 @@ def test_through_a_file_a_run_is_that_of_memory(simulated, report, tmp_path):
     assert np.abs(apart).max() < 1e-4  # points are written in single precision
 
 
+def test_the_map_has_the_points_of_the_bars_for_other_programs(report):
+    cloud = import_open3d().t.io.read_point_cloud(str(report.folder / "map.ply"))
+    points, bar = cloud.point.positions.numpy(), cloud.point["bar"].numpy().ravel()
+    assert points.dtype == np.float64
+    np.testing.assert_array_equal(points, read_points(report.folder / "map.ply"))
+    voxels = np.unique(np.floor(points / 0.04), axis=0)
+    assert 1000 < len(points) == len(voxels), "one point a voxel"
+    rows = pd.read_csv(report.folder / "segments.csv")
+    start, end = (rows[[f"{side}_{axis}_m" for axis in "xyz"]].to_numpy() for side in ("start", "end"))
+    assert set(bar) <= {-1, *range(len(rows))}
+    assert (bar >= 0).mean() > 0.5
+    along = end[bar] - start[bar]
+    share = ((points - start[bar]) * along).sum(1) / (along**2).sum(1)
+    apart = np.linalg.norm(start[bar] + np.clip(share, 0, 1)[:, None] * along - points, axis=1)
+    assert apart[bar >= 0].max() < 0.25  # reach and margin of a bar, and half a voxel
+
+
 def test_a_run_writes_what_it_says(report):
     assert {path.name for path in report.folder.iterdir()} == set(FILES)
     corrected = read_trajectory(report.folder / "corrected.tum")
@@ -92,6 +111,8 @@ def test_poses_of_a_map_come_back_in_its_coordinates(simulated, report, tmp_path
     assert np.abs(apart).max() < 1e-4
     assert found.numbers["corrected_ate_rmse_m"] == pytest.approx(report.numbers["corrected_ate_rmse_m"], abs=1e-4)
     np.testing.assert_allclose(found.segments.start - far, report.segments.start, atol=1e-2)
+    low, low_far = (read_points(folder / "map.ply").min(axis=0) for folder in (report.folder, tmp_path))
+    np.testing.assert_allclose(low_far - far, low, atol=1e-2)
 
 
 def test_scans_with_a_fault_and_no_structure_are_told(tmp_path):

@@ -1,3 +1,6 @@
+import gc
+from pathlib import Path
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -77,3 +80,16 @@ def test_the_path_goes_through_its_corners_slowly():
     assert max(nearest) < 0.3  # rounded corners
     assert np.linalg.norm(velocity, axis=1).max() < 1.02 * settings.speed_m_s
     np.testing.assert_allclose(position[-1], corner[-1], atol=1e-6)
+
+
+def test_memory_does_not_grow_with_the_number_of_flights_and_of_towers():
+    """PyBullet would keep 0.7 MiB of vertices a flight."""
+
+    def pages_after(flights: int) -> int:
+        for seed in range(flights):
+            tower = build_tower(TowerSettings(profile_m=((0.0, 4.0 + 0.01 * seed), (9.0, 1.7), (16.0, 1.0))))
+            fly(tower, FlightSettings.preset("loops", 0.1), seed)
+        gc.collect()
+        return int(Path("/proc/self/statm").read_text().split()[1])
+
+    assert pages_after(5) + 5 * 256 > pages_after(30)  # pages of 4 KiB
