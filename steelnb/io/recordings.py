@@ -11,6 +11,7 @@ from steelnb.core.files import display_name
 from steelnb.core.types import Array, Flight, Imu, IntArray, Scan, Trajectory
 from steelnb.io.bags import Clock, open_bag
 from steelnb.io.clocks import rising_stamps
+from steelnb.io.clouds import READERS
 from steelnb.io.containers import bags_in, is_bag
 from steelnb.io.folders import TRUE, named_file, open_clouds
 from steelnb.io.trajectories import interpolate, read_trajectory
@@ -55,7 +56,8 @@ def read_flight(
     if not path.exists():
         raise InputError(f"{path}: does not exist; expected a recording")
     if not path.is_dir() and not is_bag(path):
-        raise InputError(f"{path}: ending {path.suffix!r}; expected .bag, .mcap, .db3 or a folder")
+        remedy = "; `steelnb segment` takes a single cloud" if path.suffix.lower() in READERS else ""
+        raise InputError(f"{path}: ending {path.suffix!r}; expected .bag, .mcap, .db3 or a folder{remedy}")
     if clock not in CLOCKS or not np.isfinite(time_offset_s):
         raise InputError(f"clock {clock!r} with {time_offset_s} s; expected {' or '.join(CLOCKS)}, and finite seconds")
     opened: _Parts
