@@ -42,15 +42,16 @@ class Claim(Settings):
     """One table of the claims' file.
 
     The ``metric`` is taken from the runs that match ``where``, for each cell of ``by`` and each seed. ``form`` makes it
-    a number: its ``level``, its ``difference`` or ``ratio`` of the runs ``a`` to the runs ``b`` of the same seed, or
-    its rank ``correlation`` over the seeds with the metric that ``b`` names. The claim is that this number is ``below``
-    or ``above`` the ``threshold``, or ``between`` two of them.
+    a number: its ``level``, its ``difference`` or ``ratio`` of the runs ``a`` to the runs ``b`` of the same seed, the
+    ``ratio of means`` of the two over the seeds (for metrics that are zero on some), or its rank ``correlation`` over
+    the seeds with the metric that ``b`` names. The claim is that this number is ``below`` or ``above`` the
+    ``threshold``, or ``between`` two of them.
     """
 
     section: str
     claim: str
     metric: str
-    form: Literal["level", "difference", "ratio", "correlation"] = "difference"
+    form: Literal["level", "difference", "ratio", "ratio of means", "correlation"] = "difference"
     comparison: Literal["below", "above", "between"]
     threshold: Annotated[list[float], Field(min_length=1, max_length=2)]
     where: Chosen = Field(default_factory=dict)
@@ -137,7 +138,8 @@ def interval(form: str, values: Array) -> tuple[float, float, float]:
     """The number of some seeds ``values (seed, side)`` and its 95 % interval.
 
     Student's t for means, of zero width if all seeds agree; exact for shares (Clopper and Pearson 1934); Fisher's z for
-    Spearman's rank correlation, which is 0 ± 0 if a side is constant.
+    Spearman's rank correlation, which is 0 ± 0 if a side is constant. A ratio of means has the interval of its
+    linearised residuals (Cochran, Sampling Techniques, 1977, equation 6.13).
     """
     a, b = values[:, 0], values[:, -1]
     if form == "correlation":
@@ -149,7 +151,11 @@ def interval(form: str, values: Array) -> tuple[float, float, float]:
     if form == "level" and np.isin(a, (0.0, 1.0)).all():
         share = stats.binomtest(int(a.sum()), len(a)).proportion_ci(CONFIDENCE)
         return float(a.mean()), float(share.low), float(share.high)
-    number = a - b if form == "difference" else a / b if form == "ratio" else a
+    if form == "ratio of means" and b.mean() > 0:
+        ratio = a.mean() / b.mean()
+        number = ratio + (a - ratio * b) / b.mean()
+    else:
+        number = a - b if form == "difference" else a / b if form == "ratio" else a
     mean = float(number.mean())
     if np.ptp(number) < 1e-12:
         return mean, mean, mean

@@ -112,6 +112,21 @@ def test_levels_ratios_and_ranges():
     assert judged(level.replace(threshold=[8.0], comparison="above"), table).verdict == HOLDS
 
 
+def test_a_ratio_of_means_serves_a_metric_that_is_zero_on_some_seeds():
+    table = runs(lambda t, n, method, z: 0.0)
+    random = np.random.default_rng(1)
+    found = np.where(
+        table["method"] == "two", random.binomial(20, 0.1, len(table)), random.binomial(20, 0.05, len(table))
+    )
+    table = table.assign(segment_recall=found / 20)
+    assert (table["segment_recall"] == 0).any()
+    half = claim(metric="segment_recall", form="ratio of means", comparison="below", threshold=[0.9])
+    cells = judged(half.replace(a={"method": "one"}, b={"method": "two"}), table).cells
+    assert cells["estimate"].to_numpy() == pytest.approx([0.5] * 4, abs=0.25)
+    assert ((cells["low"] < cells["estimate"]) & (cells["estimate"] < cells["high"])).all()
+    assert (cells["high"] - cells["low"]).between(0.1, 1.2).all()
+
+
 def test_a_correlation_over_seeds():
     table = runs(lambda t, n, method, z: 0.0)
     random = np.random.default_rng(2)
