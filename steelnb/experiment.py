@@ -7,7 +7,8 @@ from typing import cast
 from steelnb.core.cache import cached
 from steelnb.core.errors import InputError
 from steelnb.core.estimates import Estimate
-from steelnb.core.types import Flight, Imu, RangeScans, Trajectory
+from steelnb.core.range_scans import RangeScans
+from steelnb.core.types import Flight, Imu, Trajectory
 from steelnb.metrics import score_estimate
 from steelnb.odometry import correct
 from steelnb.planning import OnboardPilot
@@ -41,6 +42,10 @@ class Result(Estimate):
     settings: ExperimentSettings
     truth: Truth
     metrics: dict[str, float]
+
+    def __repr__(self) -> str:
+        numbers = f"{self.metrics['ate_rmse_m']:.4f} m of {self.metrics['raw_ate_rmse_m']:.4f} m left"
+        return f"Result({self.settings.odometry.method!r}: {self._summary()}; error {numbers})"
 
 
 def run(settings: ExperimentSettings, on_progress: OnProgress | None = None) -> Result:

@@ -1,50 +1,208 @@
-"""Checks of input clouds and poses, shared by `register` and every odometry."""
+"""Checks of what users hand in, shared by the types, by functions and by every odometry.
+
+Each returns the checked value, or raises a one-line `InputError` that names it, its value and what was expected.
+"""
+
+import difflib
+import math
+import numbers
+from collections.abc import Iterable
+from typing import Any, get_args
 
 import numpy as np
+from numpy.typing import NDArray
 
 from steelnb.core.errors import InputError
-from steelnb.core.types import Array
 
+_Array = NDArray[np.float64]
 RIGID_TOLERANCE = 1e-3
 """Largest deviation of RᵀR from the identity. Rounding to single precision or to text stays below it."""
+SAME_S = 1e-6
+"""Stamps that differ by less than a microsecond are the same, at any epoch."""
+_CLOUD = "(N, 3) or (H, W, 3)"
+_RIGID = "a rigid transform (4, 4)"
+_LAST_ROW = np.array([0.0, 0.0, 0.0, 1.0])
 
 
-def checked_cloud(points: object, name: str = "points") -> Array:
+def guess(name: Any, known: Iterable[str]) -> str:
+    """`, did you mean ...?` if a known name is similar, else empty."""
+    near = difflib.get_close_matches(str(name), list(known), n=1)
+    return f", did you mean {near[0]!r}?" if near else ""
+
+
+def quoted(names: Any) -> str:
+    """Names in quotes, separated by commas."""
+    return ", ".join(repr(name) for name in names)
+
+
+def checked_choice(value: object, name: str, known: Iterable[str]) -> str:
+    """One of the ``known`` names."""
+    known = tuple(known)
+    if isinstance(value, str) and value in known:
+        return value
+    raise InputError(f"{name} = {value!r:.80}{guess(value, known)}: expected one of {quoted(known)}")
+
+
+def checked_kind(value: object, name: str, kind: Any, hint: str = "") -> Any:
+    """An object of a class, or of one in a union. ``hint``: what to call to get one."""
+    if isinstance(value, kind) and not isinstance(value, str | bytes):
+        return value
+    shown = repr(value) if isinstance(value, str | int | float | None) else type(value).__name__
+    kinds = " or ".join(getattr(each, "__name__", str(each)) for each in get_args(kind) or (kind,))
+    raise InputError(f"{name} = {shown:.80}: expected {kinds}{f', as from {hint}' if hint else ''}")
+
+
+def checked_number(
+    value: Any,
+    name: str,
+    low: float = -math.inf,
+    high: float = math.inf,
+    *,
+    above: float = -math.inf,
+    infinite: bool = False,
+) -> float:
+    """A real number from ``low`` to ``high`` and greater than ``above``; infinity only if ``infinite``."""
+    is_number = isinstance(value, numbers.Real) and not isinstance(value, bool)
+    if is_number and above < value and low <= value <= high and (infinite or -math.inf < value < math.inf):
+        return float(value)
+    kind = "positive " if above == 0 else ""
+    kind += "" if infinite or high < math.inf else "finite "
+    limits = [f"of at least {low:g}"] * (low > -math.inf) + [f"of at most {high:g}"] * (high < math.inf)
+    limits = [f"from {low:g} to {high:g}"] if len(limits) == 2 else limits
+    limits += [f"above {above:g}"] if above not in (0, -math.inf) else []
+    raise InputError(f"{name} = {value!r:.80}: expected a {kind}number{''.join(f' {each}' for each in limits)}")
+
+
+def checked_integer(value: Any, name: str, low: int, high: int | None = None) -> int:
+    """A whole number, also one of NumPy's, from ``low`` to ``high``."""
+    is_whole = isinstance(value, numbers.Integral) and not isinstance(value, bool)
+    if is_whole and low <= value and (high is None or value <= high):
+        return int(value)
+    limits = f"of at least {low}" if high is None else f"from {low} to {high}"
+    raise InputError(f"{name} = {value!r:.80}: expected an integer {limits}")
+
+
+def check_sequence(values: Any, name: str, of: str) -> None:
+    """Raise `InputError` for what has no length and items, such as an iterator, and for texts and arrays."""
+    has_items = hasattr(values, "__len__") and hasattr(values, "__getitem__")
+    if not has_items or isinstance(values, str | bytes | dict | np.ndarray):
+        raise InputError(f"{name}: {type(values).__name__}; expected a sequence of {of}")
+
+
+def check_length(values: Any, name: str, count: int, what: str) -> None:
+    """Raise `InputError` unless there are ``count`` values, ``what`` says of what kind."""
+    if len(values) != count:
+        raise InputError(f"{name}: {len(values)}; expected {count}, {what}")
+
+
+def checked_array(values: object, name: str, shape: tuple[str | int, ...]) -> _Array:
+    """Finite numbers as float64 in an array of a shape such as ``("N", 3)``, where a letter is any length."""
+    expected = f"({', '.join(map(str, shape))}{',' * (len(shape) == 1)})"
+    array = _real(values, name, f"real numbers in an array {expected}")
+    if array.ndim != len(shape) or any(isinstance(n, int) and n != m for n, m in zip(shape, array.shape, strict=True)):
+        raise InputError(f"{name}: an array of shape {array.shape}; expected {expected}")
+    if not np.isfinite(array).all():
+        at = np.argwhere(~np.isfinite(array))[0]
+        raise InputError(f"{name}{at.tolist()} = {array[tuple(at)]}: expected finite numbers")
+    return array
+
+
+def checked_stamps(values: object, name: str) -> _Array:
+    """Strictly increasing finite stamps ``(N,)``, seconds."""
+    stamp_s = checked_array(values, name, ("N",))
+    if not (stamp_s[1:] > stamp_s[:-1]).all():
+        k = int(np.argmin(np.diff(stamp_s) > 0)) + 1
+        raise InputError(f"{name}[{k}] = {stamp_s[k]!s} after {stamp_s[k - 1]!s}: expected strictly increasing stamps")
+    return stamp_s
+
+
+def check_same_stamps(stamp_s: _Array, name: str, expected_s: _Array, of: str) -> None:
+    """Raise `InputError` unless stamps ``(N,)`` are those of something else, to within `SAME_S`."""
+    check_length(stamp_s, name, len(expected_s), f"as {of}")
+    off_s = np.abs(stamp_s - expected_s)
+    if not (off_s <= SAME_S).all():
+        k = int(np.argmin(off_s <= SAME_S))
+        raise InputError(
+            f"{name}: number {k} is at {stamp_s[k]!s} s, {stamp_s[k] - expected_s[k]:.6g} s after {of};"
+            " expected the same stamps"
+        )
+
+
+def checked_cloud(points: object, name: str = "points") -> _Array:
     """A cloud ``(N, 3)`` or image ``(H, W, 3)``, metres, as float64 of the same shape; masked entries become NaN.
 
     Raises `InputError` for any other shape and for values that are not real numbers.
     """
-    if isinstance(points, np.ma.MaskedArray):
-        points = np.ma.filled(points.astype(np.float64), np.nan)
+    array = _real(points, name, f"real numbers in an array {_CLOUD}")
+    if array.ndim not in (2, 3) or array.shape[-1] != 3:
+        raise InputError(f"{name}: an array of shape {array.shape}; expected {_CLOUD}, metres")
+    return array
+
+
+def checked_points(points: object, name: str = "points") -> _Array:
+    """The points ``(N, 3)`` of a cloud or image, all finite."""
+    array = np.ascontiguousarray(checked_cloud(points, name)).reshape(-1, 3)
+    if not np.isfinite(array).all():
+        off = int(np.count_nonzero(~np.isfinite(array).all(axis=1)))
+        raise InputError(f"{name}: {off} of {len(array)} points not finite; drop them")
+    return array
+
+
+def checked_pose(T_target_source: object, name: str) -> _Array:
+    """A rigid transform ``(4, 4)`` as float64. Raises `InputError` if it is not one."""
+    array = _real(T_target_source, name, "a finite (4, 4) array")
+    if array.shape != (4, 4):
+        raise InputError(f"{name}: an array of shape {array.shape}; expected {_RIGID}")
+    _check_rigid(array[None], name, "")
+    return array
+
+
+def checked_poses(T_target_source: object, name: str, count: int) -> _Array:
+    """Rigid transforms ``(count, 4, 4)`` as float64. Raises `InputError` that names the first that is not one."""
+    array = _real(T_target_source, name, f"a finite ({count}, 4, 4) array")
+    if array.shape != (count, 4, 4):
+        raise InputError(f"{name}: an array of shape {array.shape}; expected ({count}, 4, 4)")
+    _check_rigid(array, name, "[{}]")
+    return array
+
+
+def _real(values: object, name: str, expected: str) -> _Array:
+    """An array of real numbers as float64; masked entries become NaN."""
     try:
-        array = np.asarray(points)
+        if isinstance(values, np.ma.MaskedArray):
+            values = np.ma.filled(values.astype(np.float64), np.nan)
+        array = np.asarray(values)
         if array.dtype.kind not in "fiu":
             raise TypeError
-        array = array.astype(np.float64, copy=False)
+        return array.astype(np.float64, copy=False)
     except (TypeError, ValueError):
-        kind = getattr(points, "dtype", type(points).__name__)
-        raise InputError(f"{name}: {kind}; expected real numbers in an array (N, 3) or (H, W, 3)") from None
-    if array.ndim not in (2, 3) or array.shape[-1] != 3:
-        raise InputError(f"{name}: an array of shape {array.shape}; expected (N, 3) or (H, W, 3), metres")
-    return array
+        kind = getattr(values, "dtype", type(values).__name__)
+        raise InputError(f"{name}: {kind}; expected {expected}") from None
 
 
-def checked_pose(T: object, name: str) -> Array:
-    """A rigid transform ``(4, 4)`` as float64. Raises `InputError` if it is not one."""
-    try:
-        array = np.asarray(T, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise InputError(f"{name} = {T!r}: expected a finite (4, 4) array") from None
-    if array.shape != (4, 4):
-        raise InputError(f"{name}: an array of shape {array.shape}; expected a rigid transform (4, 4)")
-    if not np.isfinite(array).all():
-        raise InputError(f"{name}: an entry is not finite; expected a rigid transform (4, 4)")
-    R = array[:3, :3]
-    if np.abs(array[3] - [0, 0, 0, 1]).max() > RIGID_TOLERANCE:
-        raise InputError(f"{name}: last row {array[3].tolist()}; expected 0, 0, 0, 1")
-    if np.abs(R.T @ R - np.eye(3)).max() > RIGID_TOLERANCE:
-        length = np.linalg.norm(R, axis=0).round(4).tolist()
+def _check_rigid(T: _Array, name: str, index: str) -> None:
+    """Raise `InputError` for the first of ``T (N, 4, 4)`` that is not rigid. ``index``: how to write its number."""
+    R = T[:, :3, :3]
+    with np.errstate(invalid="ignore", over="ignore"):
+        skew = np.abs(R.transpose(0, 2, 1) @ R - np.eye(3)).max(axis=(1, 2), initial=0.0)
+        row = np.abs(T[:, 3] - _LAST_ROW).max(axis=1, initial=0.0)
+        handed = np.linalg.det(R)
+    good = (skew <= RIGID_TOLERANCE) & (row <= RIGID_TOLERANCE) & (handed > 0) & np.isfinite(T[:, :3, 3]).all(axis=1)
+    if good.all():
+        return
+    k = int(np.argmin(good))
+    name, at = f"{name}{index.format(k)}", T[k]
+    if not np.isfinite(at).all():
+        raise InputError(f"{name}: an entry is not finite; expected {_RIGID}")
+    if row[k] > RIGID_TOLERANCE:
+        raise InputError(f"{name}: last row {at[3].tolist()}; expected 0, 0, 0, 1")
+    if skew[k] > RIGID_TOLERANCE:
+        length = np.linalg.norm(at[:3, :3], axis=0).round(4).tolist()
         raise InputError(f"{name}: axes of length {length}, not orthonormal; expected a rotation, no scale or shear")
-    if np.linalg.det(R) < 0:
-        raise InputError(f"{name}: a reflection (determinant {np.linalg.det(R):.3f}); expected a right-handed frame")
-    return array
+    raise InputError(f"{name}: a reflection (determinant {handed[k]:.3f}); expected a right-handed frame")
+
+
+def set_checked(instance: object, **values: object) -> None:
+    """Set fields of a frozen dataclass to their checked values, in its ``__post_init__``."""
+    for name, value in values.items():
+        object.__setattr__(instance, name, value)

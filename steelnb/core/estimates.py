@@ -1,10 +1,20 @@
 """What an odometry gives: the result of one scan, and that of a flight."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from steelnb.core.checks import (
+    check_length,
+    check_same_stamps,
+    checked_array,
+    checked_integer,
+    checked_kind,
+    checked_number,
+    checked_pose,
+    set_checked,
+)
 from steelnb.core.types import Array, IntArray, Segments, Trajectory
 
 
@@ -24,6 +34,19 @@ class OdometryStep:
     matches: int = 0
     seconds: dict[str, float] = field(default_factory=dict)
     unobserved: int = 0
+
+    def __post_init__(self) -> None:
+        set_checked(
+            self,
+            stamp_s=checked_number(self.stamp_s, "OdometryStep.stamp_s"),
+            T_world_drone=checked_pose(self.T_world_drone, "OdometryStep.T_world_drone"),
+            matches=checked_integer(self.matches, "OdometryStep.matches", 0),
+            unobserved=checked_integer(self.unobserved, "OdometryStep.unobserved", 0, 3),
+        )
+
+    def __repr__(self) -> str:
+        did = f"{self.matches} matches" if self.used else f"not used: {self.reason}"
+        return f"OdometryStep({self.stamp_s:.3f} s, at {self.T_world_drone[:3, 3].round(3).tolist()}, {did})"
 
 
 @dataclass(frozen=True)
@@ -57,6 +80,36 @@ class Estimate:
     unsure: str = ""
     thickness: float | None = None
     unobserved: IntArray = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+
+    def __post_init__(self) -> None:
+        name, k = type(self).__name__, len(checked_kind(self.prior, f"{type(self).__name__}.prior", Trajectory))
+        checked_kind(self.corrected, f"{name}.corrected", Trajectory)
+        check_same_stamps(self.corrected.stamp_s, f"{name}.corrected", self.prior.stamp_s, f"the poses in {name}.prior")
+        bars = len(checked_kind(self.segments, f"{name}.segments", Segments))
+        shapes: dict[str, tuple[str | int, ...]] = {
+            "points": ("N", 3), "matches": (k,), "update_s": (k,), "pose_covariance": (k, 6, 6),
+            "axis_covariance": (bars, 4, 4), "unobserved": (k if len(self.unobserved) else 0,),
+        }  # fmt: skip
+        for field_name, shape in shapes.items():
+            if (values := getattr(self, field_name)) is not None:
+                checked_array(values, f"{name}.{field_name}", shape)
+        for stage, seconds in self.seconds.items():
+            checked_array(seconds, f"{name}.seconds[{stage!r}]", (k,))
+        check_length(self.reason, f"{name}.reason", k, "one a scan")
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({self._summary()})"
+
+    def _summary(self) -> str:
+        used = sum(not reason for reason in self.reason)
+        return f"{len(self.prior)} scans, {used} used, {len(self.points)} map points, {len(self.segments)} segments"
+
+    def moved(self, by: Array, prior: Trajectory) -> "Estimate":
+        """The estimate translated by ``by (3,)``, metres, where the uncorrected poses are ``prior``."""
+        return replace(
+            self, prior=prior, corrected=self.corrected.moved(by), points=self.points + by,
+            segments=self.segments.moved(by),
+        )  # fmt: skip
 
     @property
     def on_time_share(self) -> float:

@@ -6,6 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from steelnb.core import checks
+
 GreyImage = NDArray[np.uint8]
 """``(H, W)``, 0 black to 255 white."""
 
@@ -24,6 +26,14 @@ class CameraImages:
     images: Sequence[GreyImage | None]
     K: NDArray[np.float64]
     T_drone_camera: NDArray[np.float64]
+
+    def __post_init__(self) -> None:
+        checks.set_checked(
+            self,
+            stamp_s=checks.checked_stamps(self.stamp_s, "CameraImages.stamp_s"),
+            K=checks.checked_array(self.K, "CameraImages.K", (3, 3)),
+            T_drone_camera=checks.checked_pose(self.T_drone_camera, "CameraImages.T_drone_camera"),
+        )
 
     def __len__(self) -> int:
         return len(self.stamp_s)

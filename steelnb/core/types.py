@@ -6,16 +6,21 @@ for invalid returns, times float64 seconds. World z is up; the drone frame is x 
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from steelnb.core import checks
+from steelnb.core.errors import InputError
 from steelnb.core.images import CameraImages
 
 Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 Floats = NDArray[np.float32]
+
+
+def _span(stamp_s: Array) -> str:
+    return f", {stamp_s[0]:.3f} to {stamp_s[-1]:.3f} s" if len(stamp_s) else ""
 
 
 @dataclass(frozen=True)
@@ -25,8 +30,17 @@ class Trajectory:
     stamp_s: Array
     T_world_drone: Array
 
+    def __post_init__(self) -> None:
+        stamp_s = checks.checked_stamps(self.stamp_s, "Trajectory.stamp_s")
+        T = checks.checked_poses(self.T_world_drone, "Trajectory.T_world_drone", len(stamp_s))
+        checks.set_checked(self, stamp_s=stamp_s, T_world_drone=T)
+
     def __len__(self) -> int:
         return len(self.stamp_s)
+
+    def __repr__(self) -> str:
+        metres = np.linalg.norm(np.diff(self.position, axis=0), axis=1).sum()
+        return f"Trajectory({len(self)} poses{_span(self.stamp_s)}, {metres:.1f} m)"
 
     @property
     def position(self) -> Array:
@@ -45,17 +59,22 @@ class Trajectory:
         return Trajectory(self.stamp_s, T_world_drone)
 
     def at(self, stamp_s: Array) -> "Trajectory":
-        """The poses at ``stamp_s (K,)``, to within a microsecond. Raises ValueError if one is missing."""
-        index = np.clip(np.searchsorted(self.stamp_s, stamp_s - 1e-6), 0, len(self) - 1)
-        if not np.allclose(self.stamp_s[index], stamp_s, atol=1e-6):
-            raise ValueError("the trajectory has no pose at some of these stamps")
+        """The poses at ``stamp_s (K,)``, to within a microsecond at any epoch. Raises ValueError if one is missing."""
+        stamp_s = checks.checked_array(stamp_s, "stamp_s", ("K",))
+        index = np.searchsorted(self.stamp_s, stamp_s - checks.SAME_S)
+        found_s = np.append(self.stamp_s, np.inf)[index]
+        missing = stamp_s[found_s - stamp_s > checks.SAME_S]
+        if len(missing):
+            raise ValueError(f"no pose at {len(missing)} of {len(stamp_s)} stamps, such as {missing[0]!s} s; {self}")
         return Trajectory(self.stamp_s[index], self.T_world_drone[index])
 
     def between(self, stamp_s: Array) -> Array:
         """Poses ``(..., 4, 4)`` at any ``stamp_s (...)``: positions interpolated linearly, rotations by slerp, clamped
-        to the first and last pose. Needs at least two poses."""
+        to the first and last pose. Raises `InputError` with fewer than two poses."""
         from scipy.spatial.transform import Rotation, Slerp  # imported late, as few users of this module need it
 
+        if len(self) < 2:
+            raise InputError(f"a trajectory of {len(self)} poses: expected at least two to interpolate")
         inside = np.clip(stamp_s, self.stamp_s[0], self.stamp_s[-1]).ravel()
         result = np.tile(np.eye(4), (len(inside), 1, 1))
         result[:, :3, :3] = Slerp(self.stamp_s, Rotation.from_matrix(self.T_world_drone[:, :3, :3]))(inside).as_matrix()
@@ -76,6 +95,16 @@ class Imu:
     specific_force: Array
     angular_rate: Array
 
+    def __post_init__(self) -> None:
+        stamp_s = checks.checked_stamps(self.stamp_s, "Imu.stamp_s")
+        checks.set_checked(self, stamp_s=stamp_s, **{
+            name: checks.checked_array(getattr(self, name), f"Imu.{name}", (len(stamp_s), 3))
+            for name in ("specific_force", "angular_rate")
+        })  # fmt: skip
+
+    def __repr__(self) -> str:
+        return f"Imu({len(self.stamp_s)} readings{_span(self.stamp_s)})"
+
 
 @dataclass(frozen=True)
 class Scan:
@@ -88,34 +117,15 @@ class Scan:
     points: Array
     fault: str = ""
 
+    def __post_init__(self) -> None:
+        stamp_s = checks.checked_number(self.stamp_s, "Scan.stamp_s")
+        checks.set_checked(self, stamp_s=stamp_s, points=checks.checked_cloud(self.points, "Scan.points"))
 
-class RangeScans(Sequence[Scan]):
-    """Scans stored as range images, in a sixth of the memory; their points are computed on access.
-
-    ``stamp_s (K,)``; ``range_m (K, H, W)`` float32 along the ray, NaN for no return; ``ray (H, W, 3)`` unit vectors in
-    the sensor frame, whose x axis is the optical axis.
-    """
-
-    def __init__(self, stamp_s: Array, range_m: NDArray[np.float32], ray: Array) -> None:
-        self.stamp_s, self.range_m, self.ray = stamp_s, range_m, ray
-
-    def __getstate__(self) -> tuple[NDArray[Any], ...]:
-        # Only the returns are stored, as most rays miss the structure.
-        returned = ~np.isnan(self.range_m)
-        return self.stamp_s, self.ray, np.packbits(returned), np.array(returned.shape), self.range_m[returned]
-
-    def __setstate__(self, state: tuple[NDArray[Any], ...]) -> None:
-        self.stamp_s, self.ray, bits, shape, returns_m = state
-        self.range_m = np.full(shape, np.nan, np.float32)
-        self.range_m[np.unpackbits(bits, count=self.range_m.size).reshape(shape).astype(bool)] = returns_m
-
-    def __len__(self) -> int:
-        return len(self.stamp_s)
-
-    def __getitem__(self, index):  # type: ignore[no-untyped-def, override]
-        if isinstance(index, slice):
-            return RangeScans(self.stamp_s[index], self.range_m[index], self.ray)
-        return Scan(float(self.stamp_s[index]), self.range_m[index][..., None] * self.ray)
+    def __repr__(self) -> str:
+        returns = np.count_nonzero(np.isfinite(self.points).all(axis=-1))
+        return (
+            f"Scan({self.stamp_s:.3f} s, points {self.points.shape}, {returns} finite{self.fault and ', '}{self.fault})"
+        )
 
 
 @dataclass(frozen=True)
@@ -137,8 +147,30 @@ class Flight:
     skipped: Mapping[str, int] = field(default_factory=dict)
     images: CameraImages | None = None
 
+    def __post_init__(self) -> None:
+        checks.set_checked(self, T_drone_sensor=checks.checked_pose(self.T_drone_sensor, "Flight.T_drone_sensor"))
+        for name, kind in (("prior", Trajectory), ("imu", Imu | None), ("images", CameraImages | None)):
+            checks.checked_kind(getattr(self, name), f"Flight.{name}", kind)
+        checks.check_sequence(self.scans, "Flight.scans", "Scan")
+        stamp_s = getattr(self.scans, "stamp_s", None)  # known without reading the scans
+        if stamp_s is None and isinstance(self.scans, list | tuple):
+            stamp_s = [
+                checks.checked_kind(scan, f"Flight.scans[{k}]", Scan).stamp_s for k, scan in enumerate(self.scans)
+            ]
+        known_s = self.prior.stamp_s if stamp_s is None else np.asarray(stamp_s)
+        checks.check_length(self.scans, "Flight.scans", len(self.prior), "one a pose")
+        checks.check_same_stamps(known_s, "Flight.scans", self.prior.stamp_s, "the poses in Flight.prior")
+
     def __len__(self) -> int:
         return len(self.prior)
+
+    def __repr__(self) -> str:
+        parts = [name for name in ("imu", "images") if getattr(self, name) is not None]
+        return f"Flight({self.name!r}: {', '.join([f'{len(self)} scans{_span(self.prior.stamp_s)}', *parts])})"
+
+    def moved(self, by: Array) -> "Flight":
+        """The same flight with its poses translated by ``by (3,)``, metres."""
+        return replace(self, prior=self.prior.moved(by))
 
     def first(self, count: int) -> "Flight":
         """The first ``count`` scans of the flight."""
@@ -159,6 +191,9 @@ class Lines:
     def __len__(self) -> int:
         return len(self.count)
 
+    def __repr__(self) -> str:
+        return f"Lines({len(self)} of {len(self.label)} points)"
+
 
 @dataclass(frozen=True)
 class Segments:
@@ -172,6 +207,9 @@ class Segments:
 
     def __len__(self) -> int:
         return len(self.count)
+
+    def __repr__(self) -> str:
+        return f"Segments({len(self)}, {self.length.sum():.2f} m in all)"
 
     @staticmethod
     def empty() -> "Segments":

@@ -34,6 +34,10 @@ class Structure:
     def __len__(self) -> int:
         return len(self.segments)
 
+    def __repr__(self) -> str:
+        why = f": {self.reason}" if self.reason else ""
+        return f"Structure({len(self)} bars, {self.segments.length.sum():.2f} m in all, {len(self.joint)} joints{why})"
+
     @staticmethod
     def of(bars: Segments, reason: str = "") -> "Structure":
         """Bars without joints, of unknown width and accuracy, each observed once."""

@@ -4,6 +4,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
+from steelnb.core.checks import checked_points
+from steelnb.core.errors import InputError
 from steelnb.core.estimates import Estimate
 from steelnb.core.geometry import transform_points, yaw_of
 from steelnb.core.types import Array, Flight
@@ -28,6 +30,7 @@ def bend(built: Array, true: Array, axis: ArrayLike = (0.0, 0.0)) -> dict[str, f
     through ``axis (2,)``, ``offset_max_m``; and ``blur_mean_m``, the mean of the slices' root mean square residuals,
     weighted by their points. Doubled surfaces raise it.
     """
+    built, true = checked_points(built, "built"), checked_points(true, "true")
     if built.shape != true.shape:
         raise ValueError(f"built {built.shape} and true {true.shape}: expected pairs of points")
     level = np.floor(true[:, 2] / SLICE_M).astype(int)
@@ -72,7 +75,11 @@ def basin_radius_m(offset_m: Array, converged: np.ndarray) -> float:
 
 
 def largest_slip(error_m: Array, scans: int) -> tuple[int, float]:
-    """Largest growth of an error ``(N,)`` over ``scans`` scans: (scan at its end, growth in metres)."""
+    """Largest growth of an error ``(N,)`` over ``scans`` scans: (scan at its end, growth in metres).
+
+    Raises `InputError` for fewer than two scans."""
+    if len(error_m) < 2:
+        raise InputError(f"error_m: {len(error_m)} scans; expected at least two")
     scans = min(scans, len(error_m) - 1)
     growth = error_m[scans:] - error_m[:-scans]
     k = int(growth.argmax())

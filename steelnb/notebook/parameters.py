@@ -9,9 +9,10 @@ from typing import Any
 
 from pydantic import create_model
 
+from steelnb.core.checks import guess, quoted
 from steelnb.core.errors import InputError
 from steelnb.settings import ExperimentSettings, Settings
-from steelnb.settings.base import Finite, SeedOrReport, guess, quoted
+from steelnb.settings.base import Finite, SeedOrReport
 
 PRESET_ARGUMENTS = "trajectory", "noise", "method", "sensor", "seed", "duration_s", "overrides"
 FOLDER = "results_dir"

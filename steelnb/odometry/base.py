@@ -6,7 +6,7 @@ from typing import ClassVar, Protocol
 
 import numpy as np
 
-from steelnb.core.checks import checked_cloud, checked_pose
+from steelnb.core.checks import checked_cloud, checked_kind, checked_pose
 from steelnb.core.errors import InputError
 from steelnb.core.estimates import OdometryStep
 from steelnb.core.types import Array, Scan, Segments
@@ -61,7 +61,8 @@ class BaseOdometry(ABC):
     """Names of the ``seconds`` of a step."""
 
     def __init__(self, settings: OdometrySettings | None = None, T_drone_sensor: Array | None = None) -> None:
-        self.settings = settings or OdometrySettings.preset(self.method)
+        self.settings = OdometrySettings.preset(self.method) if settings is None else settings
+        checked_kind(self.settings, "settings", OdometrySettings, f"OdometrySettings.preset({self.method!r})")
         if not isinstance(self.settings, self.kind):
             raise InputError(
                 f"method {self.settings.method!r} is of the family {self.settings.family!r}; expected one such as"
@@ -72,8 +73,7 @@ class BaseOdometry(ABC):
     def update(self, scan: Scan | Array, T_world_drone_prior: Array) -> OdometryStep:
         """Correct the pose at one scan, and add the scan to the map; see `Odometry.update`."""
         if not isinstance(scan, Scan):
-            scan = Scan(0.0, scan)
-        scan = Scan(scan.stamp_s, checked_cloud(scan.points, "scan"), scan.fault)
+            scan = Scan(0.0, checked_cloud(scan, "scan"))
         prior, watch = checked_pose(T_world_drone_prior, "T_world_drone_prior"), Stopwatch(self.stages)
         T_world_drone, reason, matches, unobserved = self._update(scan, prior, watch)
         if reason:

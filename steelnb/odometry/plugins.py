@@ -7,10 +7,10 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
+from steelnb.core.checks import guess
 from steelnb.core.errors import InputError
 from steelnb.core.types import Flight
 from steelnb.odometry.base import Odometry
-from steelnb.settings.base import guess
 
 GIVEN = ("T_drone_sensor", "imu", "images")
 """Parts of a flight that the constructor of a user's odometry may take under these names."""

@@ -1,10 +1,12 @@
 """The loop that runs an odometry over a flight."""
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 
 import numpy as np
 
+from steelnb.core.checks import checked_kind, checked_pose
 from steelnb.core.errors import InputError
 from steelnb.core.estimates import Estimate, OdometryStep
 from steelnb.core.types import Flight, Scan, Segments, Trajectory
@@ -23,33 +25,51 @@ def run(flight: Flight, odometry: Odometry, on_step: OnStep | None = None, befor
     on_step : called after every scan with its number, the scan and its `OdometryStep`; its time is not measured.
     before : another flight, which the odometry corrects first; its steps are dropped, and what it has learnt stays.
 
-    Raises `InputError` if fewer scans can be read than the flight has poses, or if an update returns no `OdometryStep`.
+    Raises `InputError` if other scans are read than the flight has poses for, and if an update returns no
+    `OdometryStep` or one that is not valid; the message names the class and the scan.
     """
+    checked_kind(flight, "flight", Flight, "read_flight")
+    if not callable(getattr(odometry, "update", None)):
+        raise InputError(f"odometry = {odometry!r:.80}: expected an object with a method update, as of make_odometry")
     if before is not None:
         run(before, odometry)
     steps: list[OdometryStep] = []
     reason, update_s = [], np.zeros(len(flight))
+    T_world_drone = flight.prior.T_world_drone.copy()
     for k, scan in enumerate(flight.scans):
+        if k == len(flight):
+            raise InputError(f"{flight.name}: more than {k} scans could be read; expected {k}, one per pose")
+        checked_kind(scan, f"{flight.name}, scan {k}", Scan)
         begin = time.perf_counter()
-        step = odometry.update(scan, flight.prior.T_world_drone[k])
-        update_s[k] = time.perf_counter() - begin
-        if not isinstance(step, OdometryStep):
-            raise InputError(f"{type(odometry).__name__}.update gave {step!r:.80}; expected an OdometryStep")
+        with _naming(odometry, k):
+            step = odometry.update(scan, flight.prior.T_world_drone[k])
+            update_s[k] = time.perf_counter() - begin
+            # Checked again, as the odometry may have changed the array since.
+            T_world_drone[k] = checked_pose(checked_kind(step, "its result", OdometryStep).T_world_drone, "its pose")
         steps.append(step)
         reason.append("" if step.used else scan.fault or step.reason)
         if on_step:
             on_step(k, scan, step)
     if len(steps) < len(flight):
         raise InputError(f"{flight.name}: {len(steps)} scans could be read; expected {len(flight)}, one per pose")
-    stages = steps[0].seconds if steps else ()
+    stages = dict.fromkeys(stage for step in steps for stage in step.seconds)
     return Estimate(
         prior=flight.prior,
-        corrected=Trajectory(flight.prior.stamp_s, np.array([s.T_world_drone for s in steps]).reshape(-1, 4, 4)),
+        corrected=Trajectory(flight.prior.stamp_s, T_world_drone),
         points=odometry.map_points() if hasattr(odometry, "map_points") else np.zeros((0, 3)),
         segments=odometry.map_segments() if hasattr(odometry, "map_segments") else Segments.empty(),
         matches=np.array([s.matches for s in steps], dtype=np.int64),
         reason=tuple(reason),
-        seconds={stage: np.array([s.seconds[stage] for s in steps]) for stage in stages},
+        seconds={stage: np.array([s.seconds.get(stage, 0.0) for s in steps]) for stage in stages},
         update_s=update_s,
         unobserved=np.array([s.unobserved for s in steps], dtype=np.int64),
     )
+
+
+@contextmanager
+def _naming(odometry: Odometry, k: int) -> Iterator[None]:
+    """Put the class of the odometry and the number of the scan before the message of an `InputError`."""
+    try:
+        yield
+    except InputError as fault:
+        raise InputError(f"{type(odometry).__name__}.update, scan {k}: {fault}") from None

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from steelnb.core.checks import checked_kind, checked_number, checked_points, checked_pose
 from steelnb.core.errors import InputError
 from steelnb.core.geometry import transform_points, yaw_of
 from steelnb.core.types import Array, Segments
@@ -58,9 +59,10 @@ class Planner:
     """
 
     def __init__(self, flight: FlightSettings, fov_rad: float, range_max_m: float) -> None:
-        if flight.trajectory != "planned":
+        if checked_kind(flight, "flight", FlightSettings, "FlightSettings.preset").trajectory != "planned":
             raise InputError(f"trajectory {flight.trajectory!r}: expected 'planned'")
-        self.flight, self.fov_rad, self.range_max_m = flight, fov_rad, range_max_m
+        self.flight, self.fov_rad = flight, checked_number(fov_rad, "fov_rad", above=0, high=2 * np.pi)
+        self.range_max_m = checked_number(range_max_m, "range_max_m", above=0)
         self.map, self.bars = VoxelMap(VOXEL_M), Segments.empty()
         self._scans, self._last_scan = 0, np.zeros((0, 3))  # world frame
         self._lost_s: float | None = None
@@ -71,7 +73,9 @@ class Planner:
 
     def see(self, points: Array, T_world_drone: Array, bars: Segments) -> None:
         """Add a scan: preprocessed points ``(N, 3)`` in the drone frame, the corrected pose, and the ``bars`` mapped so
-        far, world frame."""
+        far, world frame. Raises `InputError`."""
+        points, T_world_drone = checked_points(points), checked_pose(T_world_drone, "T_world_drone")
+        checked_kind(bars, "bars", Segments)
         self._scans += 1
         world = transform_points(T_world_drone, points)
         self._last_scan, self.bars = voxel_grid(world, VOXEL_M) if len(world) else world, bars
@@ -81,7 +85,9 @@ class Planner:
                 self._path.append(T_world_drone.copy())
 
     def decide(self, stamp_s: float, T_world_drone: Array) -> Decision:
-        """The command for the next tenth of a second, from an estimate of the pose ``(4, 4)``."""
+        """The command for the next tenth of a second, from an estimate of the pose ``(4, 4)``. Raises `InputError`."""
+        stamp_s = checked_number(stamp_s, "stamp_s")
+        T_world_drone = checked_pose(T_world_drone, "T_world_drone")
         position, yaw = T_world_drone[:3, 3], float(yaw_of(T_world_drone[:3, :3]))
         self._start = self._start or (stamp_s, yaw)
         elapsed_s, self._last_s = stamp_s - self._last_s, stamp_s

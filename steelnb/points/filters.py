@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 
+from steelnb.core.checks import checked_kind, checked_points
 from steelnb.core.kernels import njit
 from steelnb.core.types import Array, Scan
 from steelnb.points.voxel_kernels import find, hash_table, put
@@ -36,13 +37,14 @@ def voxel_grid(points: Array, leaf_m: float) -> Array:
     """Centroids ``(M, 3)`` of the points ``(N, 3)`` in each occupied voxel of edge ``leaf_m``, like PCL's VoxelGrid.
 
     Lengths in metres. Voxels are aligned with the origin, and centroids are sorted by voxel, so the order of the points
-    only affects rounding. Raises ValueError if the leaf is not positive or far too small.
+    only affects rounding. Raises `InputError` for points of another shape or not finite, and ValueError if the leaf is
+    not positive or far too small.
     """
+    points = checked_points(points)
     if not leaf_m > 0:
         raise ValueError(f"leaf_m = {leaf_m}: expected a positive length in metres")
     if not len(points):
         return np.zeros((0, 3))
-    points = np.ascontiguousarray(points, dtype=np.float64)
     coordinates = np.ascontiguousarray(points.T)  # rows have fast extremes
     low, high = np.floor(coordinates.min(axis=1) / leaf_m), np.floor(coordinates.max(axis=1) / leaf_m)
     if not np.prod(high - low + 1.0) < 2.0**62:
@@ -93,7 +95,7 @@ def preprocess_scan(scan: Scan, T_world_drone: Array, T_drone_sensor: Array, set
 
     ``T_world_drone (4, 4)`` may be an estimate: it is only used to cut the floor at ``floor_m`` in the world frame.
     """
-    points = np.ascontiguousarray(scan.points, dtype=np.float64).reshape(-1, 3)
+    points = np.ascontiguousarray(checked_kind(scan, "scan", Scan).points).reshape(-1, 3)
     upper = np.full(3, settings.crop_m)
     up, height = np.ascontiguousarray(T_world_drone[2, :3]), T_world_drone[2, 3]
     cropped = crop(points, T_drone_sensor, -upper, upper, up, height, settings.floor_m)

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 from numba.extending import register_jitable
 
-from steelnb.core.checks import checked_cloud
+from steelnb.core.checks import checked_cloud, checked_integer
 from steelnb.core.kernels import njit
 from steelnb.core.types import Array
 
@@ -46,7 +46,7 @@ def smooth_ranges(points: Array, radius_px: int = 1) -> Array:
     returned unchanged. Raises `InputError` for any other shape. Source: Lee, "Digital image smoothing and the sigma
     filter" (1983).
     """
-    points = checked_cloud(points)
+    points, radius_px = checked_cloud(points), checked_integer(radius_px, "radius_px", 0)
     if points.ndim == 2:
         return points
     return np.asarray(_sigma_filter(np.ascontiguousarray(points), radius_px))

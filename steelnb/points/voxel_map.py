@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from steelnb.core.checks import checked_cloud, checked_number
 from steelnb.core.errors import InputError
 from steelnb.core.types import Array, IntArray
 from steelnb.points import voxel_kernels as kernels
@@ -16,9 +17,7 @@ class VoxelMap:
     """
 
     def __init__(self, voxel_m: float, accumulate: bool = True) -> None:
-        if not 0 < voxel_m < np.inf:
-            raise InputError(f"voxel_m = {voxel_m}: expected a positive length in metres")
-        self.voxel_m, self.accumulate = float(voxel_m), accumulate
+        self.voxel_m, self.accumulate = checked_number(voxel_m, "voxel_m", above=0), accumulate
         self._key = np.zeros(1 << 12, dtype=np.int64)
         self._table: tuple[IntArray, IntArray] = kernels.hash_table(self._key[:0], 1 << 13)
         self._moment = np.zeros((1 << 12, 10))  # see `points.moments`; the origin is the voxel's corner
@@ -33,14 +32,17 @@ class VoxelMap:
     def insert(self, points: Array, weight: Array | None = None) -> None:
         """Add points ``(N, 3)`` in metres with weights ``(N,)``, default 1.
 
-        Raises `InputError` and leaves the map unchanged if a point is not finite or farther than `voxel_kernels.REACH`
-        voxels away, or if a weight is not positive and finite.
+        Raises `InputError` and leaves the map unchanged for arrays of other shapes, if a point is not finite or farther
+        than `voxel_kernels.REACH` voxels away, and if a weight is not positive and finite.
         """
-        points = np.ascontiguousarray(points, dtype=np.float64).reshape(-1, 3)
+        points = np.ascontiguousarray(checked_cloud(points)).reshape(-1, 3)
         weight = np.ones(len(points)) if weight is None else np.ascontiguousarray(weight, dtype=np.float64)
         farthest = np.abs(points).max(initial=0.0)
         if not farthest < (kernels.REACH - 2) * self.voxel_m:
-            raise InputError(f"points: a coordinate of {farthest:.3g} m; too far for voxels of {self.voxel_m} m")
+            raise InputError(
+                f"points: a coordinate of {farthest:.3g} m; expected finite ones below"
+                f" {(kernels.REACH - 2) * self.voxel_m:.3g} m for voxels of {self.voxel_m} m; move them towards zero"
+            )
         if weight.shape != (len(points),) or not ((weight > 0) & (weight < np.inf)).all():
             raise InputError(f"weight of shape {weight.shape}: expected ({len(points)},) positive numbers")
         needed = self._size + len(points)

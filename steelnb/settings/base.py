@@ -1,15 +1,15 @@
 """Frozen settings: unknown keys, wrong types and values out of range are errors."""
 
 import ast
-import difflib
 import json
 import tomllib
-from collections.abc import Iterable
 from typing import Annotated, Any, Self
 
+import numpy as np
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 
 from steelnb.core import rng
+from steelnb.core.checks import guess
 from steelnb.core.errors import InputError
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
@@ -40,7 +40,7 @@ class Settings(BaseModel):
 
     def __init__(self, **values: Any) -> None:
         try:
-            super().__init__(**values)
+            super().__init__(**as_plain(values))
         except ValidationError as fault:
             raise InputError(describe_fault(type(self), fault)) from None
 
@@ -84,22 +84,20 @@ def describe_fault(kind: type[Settings], fault: ValidationError) -> str:
     return f"{kind.__name__}: {name} = {first['input']!r:.{_SHOWN}}: {message}"
 
 
-def guess(name: Any, known: Iterable[str]) -> str:
-    """`, did you mean ...?` if a known name is similar, else empty."""
-    near = difflib.get_close_matches(str(name), list(known), n=1)
-    return f", did you mean {near[0]!r}?" if near else ""
-
-
-def quoted(names: Any) -> str:
-    """Names in quotes, separated by commas."""
-    return ", ".join(repr(name) for name in names)
-
-
 def as_tuples(value: Any) -> Any:
     """Convert the lists of JSON and TOML, also within tables, to the tuples of settings."""
     if isinstance(value, dict):
         return {name: as_tuples(item) for name, item in value.items()}
     return tuple(as_tuples(item) for item in value) if isinstance(value, list) else value
+
+
+def as_plain(value: Any) -> Any:
+    """Convert NumPy's scalars, also within tables and tuples, to Python's numbers and texts."""
+    if isinstance(value, dict):
+        return {name: as_plain(item) for name, item in value.items()}
+    if isinstance(value, tuple):
+        return tuple(as_plain(item) for item in value)
+    return value.item() if isinstance(value, np.generic) else value
 
 
 def setting_names(kind: type[Settings]) -> list[str]:

@@ -4,7 +4,8 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from steelnb.settings.base import Duration, Finite, NotNegative, Positive, Settings, quoted
+from steelnb.core.checks import quoted
+from steelnb.settings.base import Duration, Finite, NotNegative, Positive, Settings
 from steelnb.settings.presets import preset_table
 
 TrajectoryName = Literal["vertical", "orbit", "orbit-3.3", "zigzag", "loops", "planned"]

@@ -4,8 +4,8 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
+from steelnb.core.checks import guess, quoted
 from steelnb.core.errors import InputError
-from steelnb.settings.base import guess, quoted
 
 
 @dataclass(frozen=True)

@@ -5,14 +5,9 @@ from typing import Annotated, Any, ClassVar, Literal, Self, get_args
 
 from pydantic import AfterValidator, Field, model_validator
 
+from steelnb.core.checks import quoted
 from steelnb.core.errors import InputError
-from steelnb.settings.base import (
-    NotNegative,
-    OrNone,
-    Positive,
-    Settings,
-    quoted,
-)
+from steelnb.settings.base import NotNegative, OrNone, Positive, Settings
 from steelnb.settings.presets import method_preset, sensor_preset
 from steelnb.settings.sensors import ImuSettings
 from steelnb.settings.stages import FusionSettings, HoughSettings, PreprocessSettings

@@ -6,9 +6,10 @@ from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar
 
+from steelnb.core.checks import guess, quoted
 from steelnb.core.errors import InputError
 from steelnb.core.files import reading
-from steelnb.settings.base import Settings, as_tuples, guess, quoted
+from steelnb.settings.base import Settings, as_tuples
 
 PRESETS = Path(__file__).parent / "presets"
 SENSORS = tuple(sorted(path.stem for path in (PRESETS / "sensors").glob("*.toml")))

@@ -16,11 +16,11 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
+from steelnb.core.checks import quoted
 from steelnb.core.errors import InputError
 from steelnb.core.files import reading
 from steelnb.core.types import Array
 from steelnb.settings import TowerSettings
-from steelnb.settings.base import quoted
 from steelnb.settings.presets import members_file
 from steelnb.settings.tower import Kind
 from steelnb.simulation.members import Member, make_member, unit

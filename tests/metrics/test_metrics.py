@@ -5,6 +5,7 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
+from steelnb.core.errors import InputError
 from steelnb.core.types import Segments, Trajectory
 from steelnb.metrics import position_error_m, score_segments, score_trajectory, seen_members
 from steelnb.simulation import build_tower
@@ -199,3 +200,34 @@ def test_returns_are_counted_in_the_slices_of_their_members(seed):
         along = share[member == m] * bars.length[m]
         expected = np.histogram(along, np.arange(size + 1) * SLICE_M)[0]
         np.testing.assert_array_equal(found, expected)
+
+
+@pytest.mark.parametrize("epoch_s", [0.0, 1.7e9])
+@pytest.mark.parametrize(
+    "stamp_s",
+    [
+        np.arange(300) / 10, np.append(np.arange(300) / 10, 30.0 + np.arange(70)), np.arange(50) * 2.0,
+        np.append(np.arange(300) / 10, 60.0 + np.arange(300) / 10), np.arange(30) * 5.0, np.array([0.0, 2.0]),
+    ],
+    ids=["10 Hz", "10 then 1 Hz", "0.5 Hz", "a gap", "0.2 Hz", "two poses"],
+)  # fmt: skip
+def test_the_relative_error_is_that_of_one_second_at_any_rate(stamp_s, epoch_s):
+    def path(speed_m_s):
+        T = np.tile(np.eye(4), (len(stamp_s), 1, 1))
+        T[:, 0, 3] = speed_m_s * stamp_s
+        return Trajectory(stamp_s + epoch_s, T)
+
+    assert score_trajectory(path(0.31), path(0.30))["rpe_rmse_m"] == pytest.approx(0.010)
+
+
+@pytest.mark.parametrize("off_s", [0.05, -0.05, 1.0, 3600.0, 2e-6])
+def test_stamps_of_another_clock_are_refused_at_the_epoch_of_recordings(off_s):
+    path = line(40)
+    truth = Trajectory(path.stamp_s + 1.7e9, path.T_world_drone)
+    with pytest.raises(ValueError, match="no pose at"):
+        score_trajectory(Trajectory(truth.stamp_s + off_s, path.T_world_drone), truth)
+
+
+def test_a_single_pose_has_no_score():
+    with pytest.raises(InputError, match="1 poses; expected at least two"):
+        score_trajectory(line(1), line(5))

@@ -1,0 +1,114 @@
+"""The types refuse what their docstrings exclude, and say in a line what they hold."""
+
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+
+from steelnb.core.errors import InputError
+from steelnb.core.estimates import Estimate, OdometryStep
+from steelnb.core.range_scans import RangeScans
+from steelnb.core.types import Flight, Imu, Scan, Segments, Trajectory
+from steelnb.fusion.structure import Structure
+
+K = 5
+STAMP_S, POSES, CLOUD = np.arange(K) + 1.7e9, np.tile(np.eye(4), (K, 1, 1)), np.ones((7, 3))
+PATH = Trajectory(STAMP_S, POSES)
+SCANS = [Scan(s, CLOUD) for s in STAMP_S]
+
+
+def changed(array, at, value):
+    array = np.array(array, dtype=float)
+    array[at] = value
+    return array
+
+
+def estimate(**change):
+    parts = {"prior": PATH, "corrected": PATH, "points": CLOUD, "segments": Segments.empty(), "matches": np.ones(K),
+             "reason": ("",) * K, "seconds": {"a": np.zeros(K)}, "update_s": np.zeros(K)}  # fmt: skip
+    return Estimate(**{**parts, **change})
+
+
+@pytest.mark.parametrize(
+    ("make", "says"),
+    [
+        (lambda: Trajectory(STAMP_S[::-1], POSES), r"Trajectory.stamp_s\[1\] = 1700000003.0 after 1700000004.0"),
+        (lambda: Trajectory(STAMP_S * 0, POSES), r"Trajectory.stamp_s\[1\] = 0.0 after 0.0"),
+        (lambda: Trajectory(changed(STAMP_S, 2, np.nan), POSES), r"Trajectory.stamp_s\[2\] = nan"),
+        (lambda: Trajectory(STAMP_S[:, None], POSES), r"Trajectory.stamp_s: .*\(5, 1\); expected \(N,\)"),
+        (lambda: Trajectory(STAMP_S.astype(str), POSES), "Trajectory.stamp_s: .*real numbers"),
+        (lambda: Trajectory(STAMP_S, POSES[1:]), r"T_world_drone: .*\(4, 4, 4\); expected \(5, 4, 4\)"),
+        (lambda: Trajectory(STAMP_S, changed(POSES, (3, 0, 3), np.inf)), r"T_world_drone\[3\]: an entry is not finite"),
+        (lambda: Trajectory(STAMP_S, changed(POSES, (3, 0, 1), 0.01)), r"T_world_drone\[3\]: axes .*not orthonormal"),
+        (lambda: Trajectory(STAMP_S, changed(POSES, (3, 0, 0), -1)), r"T_world_drone\[3\]: a reflection"),
+        (lambda: Trajectory(STAMP_S, changed(POSES, (3, 3, 0), 1)), r"T_world_drone\[3\]: last row"),
+        (lambda: Scan(0.0, np.ones((7, 2))), r"Scan.points: .*\(7, 2\)"),
+        (lambda: Scan(0.0, CLOUD.astype(object)), "Scan.points: object"),
+        (lambda: Scan(np.nan, CLOUD), "Scan.stamp_s = nan"),
+        (lambda: Scan("1.0", CLOUD), "Scan.stamp_s = '1.0'"),
+        (lambda: Imu(STAMP_S, np.ones((K, 3)), np.ones((K, 2))), r"Imu.angular_rate: .*expected \(5, 3\)"),
+        (lambda: Imu(STAMP_S, changed(np.ones((K, 3)), 2, np.nan), np.ones((K, 3))), r"specific_force\[2, 0\] = nan"),
+        (lambda: Flight(SCANS, PATH, None), "Flight.T_drone_sensor: NoneType"),
+        (lambda: Flight(SCANS, PATH, np.eye(3)), "Flight.T_drone_sensor: .*expected a rigid transform"),
+        (lambda: Flight(SCANS[:4], PATH, np.eye(4)), "Flight.scans: 4; expected 5"),
+        (lambda: Flight([*SCANS, SCANS[0]], PATH, np.eye(4)), "Flight.scans: 6; expected 5"),
+        (lambda: Flight([Scan(s + 2e-6, CLOUD) for s in STAMP_S], PATH, np.eye(4)), "Flight.scans: number 0"),
+        (lambda: Flight(iter(SCANS), PATH, np.eye(4)), "Flight.scans: list_iterator; expected a sequence"),
+        (lambda: Flight([CLOUD] * K, PATH, np.eye(4)), r"Flight.scans\[0\] = ndarray: expected Scan"),
+        (lambda: Flight(RangeScans(STAMP_S + 100, np.ones((K, 1, 1)), np.ones((1, 1, 3))), PATH, np.eye(4)), "100 s"),
+        (lambda: Flight(SCANS, POSES, np.eye(4)), "Flight.prior = ndarray: expected Trajectory"),
+        (lambda: OdometryStep(0.0, np.eye(4)[:3]), r"OdometryStep.T_world_drone: .*\(3, 4\)"),
+        (lambda: OdometryStep(0.0, np.full((4, 4), np.nan)), "OdometryStep.T_world_drone: an entry is not finite"),
+        (lambda: OdometryStep(0.0, np.eye(4), unobserved=4), "OdometryStep.unobserved = 4: .*from 0 to 3"),
+        (lambda: estimate(points=CLOUD[:, :2]), r"Estimate.points: .*expected \(N, 3\)"),
+        (lambda: estimate(corrected=Trajectory(STAMP_S + 1, POSES)), "Estimate.corrected: number 0 .* 1 s after"),
+        (lambda: estimate(update_s=np.zeros(4)), r"Estimate.update_s: .*expected \(5,\)"),
+        (lambda: estimate(seconds={"a": np.zeros(4)}), r"Estimate.seconds\['a'\]"),
+        (lambda: estimate(reason=("",)), "Estimate.reason: 1; expected 5"),
+    ],
+)  # fmt: skip
+def test_values_that_the_docstrings_exclude_are_refused_in_one_line(make, says):
+    with pytest.raises(InputError, match=says) as refusal:
+        make()
+    assert "\n" not in str(refusal.value)
+
+
+def test_lists_single_precision_and_rounded_rotations_are_accepted_as_float64():
+    turned = np.tile(np.eye(4), (2, 1, 1))
+    turned[1, :2, :2] = [[0.7071, -0.7071], [0.7071, 0.7071]]
+    path = Trajectory([0, 1], turned.astype(np.float32).tolist())
+    assert path.stamp_s.dtype == path.T_world_drone.dtype == np.float64
+    masked = Scan(np.float32(0.5), np.ma.masked_equal(CLOUD, 1.0))
+    assert isinstance(masked.stamp_s, float)
+    assert np.isnan(masked.points).all()
+    assert Scan(0.0, CLOUD).points is CLOUD
+
+
+class Unread(Sequence):
+    stamp_s = STAMP_S
+
+    def __len__(self):
+        return K
+
+    def __getitem__(self, index):
+        raise AssertionError("read")
+
+
+@pytest.mark.parametrize(
+    "value",
+    [PATH, SCANS[0], Flight(Unread(), PATH, np.eye(4)), estimate(), Segments.empty(), Structure.empty("no bar"),
+     OdometryStep(0.0, np.eye(4)), Imu(STAMP_S, np.ones((K, 3)), np.ones((K, 3)))],
+)  # fmt: skip
+def test_each_says_in_a_line_what_it_holds_and_scans_of_a_file_are_not_read(value):
+    assert repr(value).startswith(type(value).__name__)
+    assert len(repr(value)) < 160
+    assert "array" not in repr(value)
+
+
+@pytest.mark.parametrize("epoch_s", [0.0, 1.7e9])
+def test_stamps_match_to_a_microsecond_at_any_epoch(epoch_s):
+    path = Trajectory(STAMP_S - 1.7e9 + epoch_s, POSES)
+    assert len(path.at(path.stamp_s + 7e-7)) == len(path.at(path.stamp_s - 7e-7)) == K
+    for off_s in (2e-6, 0.05, -0.05, 3600.0):
+        with pytest.raises(ValueError, match=r"no pose at \d of 5 stamps"):
+            path.at(path.stamp_s + off_s)
