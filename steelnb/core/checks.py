@@ -40,7 +40,7 @@ def checked_choice(value: object, name: str, known: Iterable[str]) -> str:
     known = tuple(known)
     if isinstance(value, str) and value in known:
         return value
-    raise InputError(f"{name} = {value!r:.80}{guess(value, known)}: expected one of {quoted(known)}")
+    raise InputError(f"{name} = {value!r:.80}: expected one of {quoted(known)}{guess(value, known)}")
 
 
 def checked_kind(value: object, name: str, kind: Any, hint: str = "") -> Any:

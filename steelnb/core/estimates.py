@@ -44,6 +44,12 @@ class OdometryStep:
             unobserved=checked_integer(self.unobserved, "OdometryStep.unobserved", 0, 3),
         )
 
+    def moved(self, by: Array) -> "OdometryStep":
+        """The step with its pose translated by ``by (3,)``, metres."""
+        T_world_drone = self.T_world_drone.copy()
+        T_world_drone[:3, 3] = np.round(T_world_drone[:3, 3] + by, 7)
+        return replace(self, T_world_drone=T_world_drone)
+
     def __repr__(self) -> str:
         did = f"{self.matches} matches" if self.used else f"not used: {self.reason}"
         return f"OdometryStep({self.stamp_s:.3f} s, at {self.T_world_drone[:3, 3].round(3).tolist()}, {did})"

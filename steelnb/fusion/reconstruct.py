@@ -6,7 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from steelnb.core.checks import check_sequence, checked_kind, checked_pose, checked_poses
 from steelnb.core.errors import InputError
+from steelnb.core.geometry import shift_of
 from steelnb.core.types import Array, Scan, Segments
 from steelnb.fusion.adjustment.adjust import adjust
 from steelnb.fusion.adjustment.drift_factors import DRIFT_PERIOD_S
@@ -46,13 +48,20 @@ def reconstruct(
     -------
     `Structure` in the world frame, metres. An empty one states the reason.
 
-    Raises `InputError` if the poses do not fit the scans or are not finite, or if no scan has a return above the floor.
+    Raises `InputError` if the poses do not fit the scans or are not rigid, or if no scan has a return above the floor.
+    Poses far from zero, such as in UTM, are moved near it for the work (`shift_of`).
     """
-    settings = settings or StructureSettings()
-    T_world_drone = np.asarray(T_world_drone, dtype=np.float64)
-    if T_world_drone.shape != (len(scans), 4, 4) or not np.isfinite(T_world_drone).all():
-        raise InputError(f"T_world_drone of shape {T_world_drone.shape}: expected ({len(scans)}, 4, 4), all finite")
-    T_world_sensor = T_world_drone if T_drone_sensor is None else T_world_drone @ T_drone_sensor
+    settings = StructureSettings() if settings is None else settings
+    checked_kind(settings, "settings", StructureSettings)
+    check_sequence(scans, "scans", "Scan")
+    T_world_drone = checked_poses(T_world_drone, "T_world_drone", len(scans))
+    origin = shift_of(T_world_drone[0, :3, 3]) if len(scans) else np.zeros(3)
+    if origin.any():
+        near = T_world_drone.copy()
+        near[:, :3, 3] = np.round(near[:, :3, 3] - origin, 7)
+        return reconstruct(scans, near, T_drone_sensor, settings.lowered(float(origin[2]))).moved(origin)
+    mount = None if T_drone_sensor is None else checked_pose(T_drone_sensor, "T_drone_sensor")
+    T_world_sensor = T_world_drone if mount is None else T_world_drone @ mount
     thickness = settings.thickness or shapes.THICKNESS
     if settings.adjust:
         mapped = MappedScans.mapped(scans, T_world_sensor, settings, every=3)

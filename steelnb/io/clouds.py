@@ -12,6 +12,7 @@ import pandas as pd
 
 from steelnb.core.errors import InputError
 from steelnb.core.files import reading
+from steelnb.core.geometry import shift_of
 from steelnb.core.types import Array, IntArray
 from steelnb.hough.lines import spacing
 from steelnb.io.las import read_las
@@ -19,9 +20,6 @@ from steelnb.io.pcd import read_pcd
 from steelnb.io.ply import read_ply
 from steelnb.io.text import read_table
 
-SHIFT_FROM_M, SHIFT_STEP_M = 1e4, 100.0
-"""A cloud whose mean is farther than `SHIFT_FROM_M` from zero is shifted by multiples of `SHIFT_STEP_M`. UTM
-coordinates are that large, coordinates of a site are not."""
 EXTENT_MAX_M, SPACING_MAX_M = 500.0, 1.0
 """A cloud that exceeds both extent and spacing is probably in millimetres: no scanner is that sparse."""
 
@@ -101,13 +99,6 @@ def read_points(path: Path | str) -> Array:
             raise ValueError(f"{beyond.sum()} points farther than {COORDINATE_MAX_M:.0e} m, as {points[beyond][0]}")
     points[~(largest <= COORDINATE_MAX_M)] = np.nan
     return points
-
-
-def shift_of(mean: Array) -> Array:
-    """Origin ``(3,)`` of a cloud with this ``mean (3,)``, metres: zero unless the coordinates are large."""
-    if not np.abs(mean).max() > SHIFT_FROM_M:
-        return np.zeros(3)
-    return SHIFT_STEP_M * np.round(mean / SHIFT_STEP_M)
 
 
 def _read_npy(path: Path) -> Any:

@@ -16,6 +16,7 @@ from steelnb.points.covariances import UPPER, neighbour_covariances, regularised
 from steelnb.points.kdtree import build_kdtree
 from steelnb.points.ranges import SIGMA_M, range_sigma_m
 from steelnb.registration import FREE, AlignOptions, AnyTarget, RegistrationResult, Target, align
+from steelnb.registration.degeneracy import NORMALS_MIN
 from steelnb.settings import LoamSettings, OdometrySettings, RegistrationSettings
 
 INLIER_SHARE_MIN = 0.3
@@ -70,9 +71,9 @@ class Evidence(NamedTuple):
 
 UNANCHORED = Evidence(points_min=10, normals_min=0.0)
 """For a prediction without a stated uncertainty."""
-ANCHORED = Evidence(points_min=100, normals_min=0.05)
+ANCHORED = Evidence(points_min=100, normals_min=NORMALS_MIN)
 """For a prediction with one. 8 × 8 pixels are too few: they sample a surface more coarsely than the map's voxels. The
-normals' strength is up to 0.02 along a noisy wall, and in front of the report's tower at least 0.18, or 0.06 with the
+normals' strength is in front of the report's tower at least 0.18, or 0.06 with the
 report's sensor. On a tower 6 m wide it sometimes falls to 0.03."""
 
 

@@ -7,7 +7,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from steelnb.core.checks import checked_kind
 from steelnb.core.estimates import Estimate
+from steelnb.core.geometry import shift_of
 from steelnb.core.images import CameraImages
 from steelnb.core.types import Array, Flight, Imu
 from steelnb.fusion.adjustment.imu_factors import check_imu
@@ -54,7 +56,8 @@ def make_odometry(
     settings: OdometrySettings, T_drone_sensor: Array, imu: Imu | None = None, images: CameraImages | None = None
 ) -> BaseOdometry:
     """A new odometry of the settings' family; ``T_drone_sensor (4, 4)`` is the mount of the sensor. Families that have
-    no use for ``imu`` or ``images`` ignore them."""
+    no use for ``imu`` or ``images`` ignore them. Raises `InputError`."""
+    checked_kind(settings, "settings", OdometrySettings, "OdometrySettings.preset")
     return ODOMETRIES[settings.family](settings, Parts(T_drone_sensor, imu, images))
 
 
@@ -70,7 +73,17 @@ def correct(
     With ``smooth``, all poses and bars are then adjusted together (`fusion.adjustment.smooth`). Smoothing time is
     divided evenly over the scans. ``on_step`` and ``before`` as for `run`. ``own`` is a class that replaces the
     odometry of the settings (`load_odometry`). Raises `InputError` as `run` does, and before the first scan if the
-    readings of an IMU do not fit the prior (`check_imu`)."""
+    readings of an IMU do not fit the prior (`check_imu`).
+
+    Poses far from zero, such as in UTM, are moved near it for the work (`shift_of`), and results are moved back."""
+    checked_kind(flight, "flight", Flight, "read_flight")
+    checked_kind(settings, "settings", OdometrySettings, "OdometrySettings.preset")
+    origin = shift_of(flight.prior.position[0]) if len(flight) else np.zeros(3)
+    if origin.any():
+        near, near_before = flight.moved(-origin), before and before.moved(-origin)
+        shown = on_step and (lambda k, scan, step: on_step(k, scan, step.moved(origin)))
+        found = correct(near, settings.lowered(float(origin[2])), shown, own, near_before)
+        return found.moved(origin, flight.prior)
     noise = getattr(settings, "inertial", None)
     if noise and flight.imu is not None:
         check_imu(flight.imu, flight.prior)

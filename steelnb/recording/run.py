@@ -3,7 +3,7 @@ pictures."""
 
 import re
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -13,18 +13,19 @@ from steelnb import odometry
 from steelnb.core.errors import InputError
 from steelnb.core.estimates import Estimate, OdometryStep
 from steelnb.core.files import new_folder
+from steelnb.core.geometry import shift_of
 from steelnb.core.types import Array, Flight, IntArray, Scan, Segments, Trajectory
 from steelnb.fusion.adjustment.uncertainty import axis_sigma_m
 from steelnb.fusion.mapped_scans import MappedScans
 from steelnb.fusion.reconstruct import reconstruct
 from steelnb.fusion.structure import Structure
 from steelnb.io import write_segments, write_structure, write_tum
-from steelnb.io.clouds import shift_of, write_map
+from steelnb.io.clouds import write_map
 from steelnb.plots.flight import figure_bars, figure_flight
 from steelnb.plots.style import COLOURS, LABELS
 from steelnb.recording.evaluate import TIMES, evaluate, references
 from steelnb.recording.summary import WARNINGS, result_lines
-from steelnb.settings import ExperimentSettings, OrbSettings, StructureSettings
+from steelnb.settings import ExperimentSettings, OdometrySettings, OrbSettings, StructureSettings
 
 WARM_UP_SCANS = 3
 """The second scan is the first to be registered. By the third, everything is loaded."""
@@ -46,10 +47,7 @@ class Corrected:
 
     def moved(self, by: Array, prior: Trajectory) -> "Corrected":
         """All of it translated by ``by (3,)``, metres, where the recorded poses are ``prior``."""
-        estimate = replace(
-            self.estimate, prior=prior, corrected=self.estimate.corrected.moved(by), points=self.estimate.points + by,
-            segments=self.estimate.segments.moved(by),
-        )  # fmt: skip
+        estimate = self.estimate.moved(by, prior)
         return Corrected(estimate, self.structure.moved(by), self.segments.moved(by), self.points + by, self.bar)
 
 
@@ -114,8 +112,10 @@ def run_recording(
     known = references(flight, truth, other)
     origin = shift_of(flight.prior.position[0])  # voxel numbers and pictures need coordinates near zero
     with new_folder(output, FILES) as folder:
-        lowered = replace(flight, prior=flight.prior.moved(-origin)), *_lowered(settings, structure, float(origin[2]))
-        near = correct_recording(*lowered, own, on_progress, on_stage)
+        odometry_settings = settings.odometry.lowered(float(origin[2]))
+        near = correct_recording(
+            flight.moved(-origin), odometry_settings, structure.lowered(float(origin[2])), own, on_progress, on_stage
+        )
         found = near.moved(origin, flight.prior)
         numbers = evaluate(flight, found.estimate, found.segments, found.structure, known)
         on_stage("drawing and writing")
@@ -140,19 +140,9 @@ def run_recording(
     return RecordingReport(Path(output), found.estimate, known.truth, found.segments, numbers, summary, warnings)
 
 
-def _lowered(
-    settings: ExperimentSettings, structure: StructureSettings, by_m: float
-) -> tuple[ExperimentSettings, StructureSettings]:
-    """Settings for a world whose zero is ``by_m`` higher."""
-    if not by_m:
-        return settings, structure
-    floor_m = settings.odometry.preprocess.floor_m - by_m
-    return settings.override({"preprocess.floor_m": floor_m}), structure.replace(floor_m=structure.floor_m - by_m)
-
-
 def correct_recording(
     flight: Flight,
-    settings: ExperimentSettings,
+    settings: OdometrySettings,
     structure: StructureSettings,
     own: OwnOdometry | None,
     on_progress: Callable[[float], None],
@@ -162,13 +152,13 @@ def correct_recording(
 
     def observe(k: int, scan: Scan, step: OdometryStep) -> None:
         on_progress((k + 1) / len(flight))
-        if k + 1 == len(flight) and settings.odometry.smooth:
+        if k + 1 == len(flight) and settings.smooth:
             on_stage("adjusting all poses and bars together")
 
     on_stage("warming up, which compiles what was not compiled yet")
-    odometry.correct(flight.first(WARM_UP_SCANS), settings.odometry, own=own)
+    odometry.correct(flight.first(WARM_UP_SCANS), settings, own=own)
     on_stage("correcting the poses")
-    found = odometry.correct(flight, settings.odometry, observe, own)
+    found = odometry.correct(flight, settings, observe, own)
     on_stage("reconstructing the bars")
     structure = structure.replace(thickness=found.thickness or structure.thickness)
     poses = found.corrected.T_world_drone

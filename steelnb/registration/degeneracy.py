@@ -12,9 +12,15 @@ import numpy as np
 
 from steelnb.core.types import Array, IntArray
 from steelnb.points.covariances import normals
+from steelnb.registration.target import Target
 
 PAIRS_MAX = 500
 """Maximum number of pairs, evenly picked, from which the directions of the surfaces are estimated."""
+SAMPLE = 150
+"""Maximum number of points of a source whose pairs show what a finished registration leaves open."""
+NORMALS_MIN = 0.05
+"""Minimum strength of the normals along a direction, relative to the strongest one. It is up to 0.02 along a noisy
+wall."""
 
 
 def unobserved_shifts(covariance: Array, match: IntArray, normals_min: float) -> Array:
@@ -30,6 +36,17 @@ def unobserved_shifts(covariance: Array, match: IntArray, normals_min: float) ->
     normal = normals(covariance[paired[:: max(1, len(paired) // PAIRS_MAX)]])
     value, vector = np.linalg.eigh((normal[:, :, None] * normal[:, None, :]).mean(axis=0))
     return np.ascontiguousarray(vector[:, value < normals_min * value[-1]].T)
+
+
+def unobserved_at(T_target_source: Array, source: Array, target: Target, limit_m: float) -> Array:
+    """`unobserved_shifts` of a ``source (N, 3)`` at a pose in a target, of the pairs within ``limit_m``.
+
+    At most `SAMPLE` points of the source are used, evenly picked. Normals are those of the target.
+    """
+    planes = target if target.filled else Target.with_planes(target.tree)
+    picked = np.linspace(0, len(source) - 1, min(len(source), SAMPLE)).astype(int)
+    match = planes.search(source[picked], limit_m)(T_target_source)
+    return unobserved_shifts(planes.covariance, match, NORMALS_MIN)
 
 
 def without_shifts(free: Array, unobserved: Array) -> Array:

@@ -1,14 +1,16 @@
 """Registration of two clouds, or of a cloud to a voxel map, by ICP, point-to-plane ICP or GICP."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
-from steelnb.core.checks import checked_pose
+from steelnb.core.checks import checked_choice, checked_integer, checked_number, checked_pose
 from steelnb.core.errors import InputError
 from steelnb.core.types import Array
 from steelnb.points import VoxelMap
 from steelnb.points.covariances import neighbour_covariances, regularised
+from steelnb.registration.degeneracy import unobserved_at
 from steelnb.registration.solver import FREE, AlignOptions, RegistrationResult, align, pairs_needed
 from steelnb.registration.target import finite, make_target
 
@@ -46,7 +48,8 @@ def register(
     rotation_epsilon_rad, translation_epsilon_m: a step below both ends the iteration.
 
     Raises `InputError`. A registration that does not converge does not raise: see ``converged`` and ``reason`` of the
-    result.
+    result. Its ``rmse_m``, ``overlap`` and ``unobserved`` say how far to trust it; they are those of the pairs at the
+    returned pose.
 
     >>> import numpy as np
     >>> target = np.random.default_rng(0).uniform(-1, 1, (500, 3))
@@ -54,17 +57,13 @@ def register(
     >>> found.converged, found.T_target_source[:3, 3].round(4).tolist()
     (True, [0.02, 0.01, 0.03])
     """
-    for name, chosen, known in (("method", method, ERROR_OF), ("dof", dof, FREE)):
-        if chosen not in known:
-            raise InputError(f"{name} = {chosen!r}: expected one of {', '.join(map(repr, known))}")
-    for name, value in (
-        ("max_correspondence_m", max_correspondence_m), ("robust_scale", robust_scale),
-        ("rotation_epsilon_rad", rotation_epsilon_rad), ("translation_epsilon_m", translation_epsilon_m),
-    ):  # fmt: skip
-        if not value > 0 or (value == math.inf and name != "robust_scale"):
-            raise InputError(f"{name} = {value!r}: expected a positive finite number")
-    if iterations_max < 1:
-        raise InputError(f"iterations_max = {iterations_max}: expected at least 1")
+    checked_choice(method, "method", ERROR_OF)
+    checked_choice(dof, "dof", FREE)
+    checked_number(max_correspondence_m, "max_correspondence_m", above=0)
+    checked_number(robust_scale, "robust_scale", above=0, infinite=True)
+    checked_integer(iterations_max, "iterations_max", 1)
+    checked_number(rotation_epsilon_rad, "rotation_epsilon_rad", above=0)
+    checked_number(translation_epsilon_m, "translation_epsilon_m", above=0)
     error, free = ERROR_OF[method], FREE[dof]
     T = np.eye(4) if T_init is None else checked_pose(T_init, "T_init")
     points = finite(source, "source")
@@ -75,6 +74,9 @@ def register(
             raise InputError(f"{name}: {len(cloud)} finite points, expected at least {points_min}")
     covariance = regularised(neighbour_covariances(points)) if error == "gicp" else None
     options = AlignOptions(
-        error, free, max_correspondence_m, robust_scale, iterations_max, rotation_epsilon_rad, translation_epsilon_m
-    )
-    return align(points, make_target(there, error), T, options, covariance)
+        error, free, max_correspondence_m, robust_scale, iterations_max, rotation_epsilon_rad, translation_epsilon_m,
+        pairs_anew=True,
+    )  # fmt: skip
+    aim = make_target(there, error)
+    result = align(points, aim, T, options, covariance)
+    return replace(result, unobserved=unobserved_at(result.T_target_source, points, aim, max_correspondence_m))

@@ -119,3 +119,20 @@ def linearise(
         for c in range(r):
             H[r, c] = H[c, r]
     return loss, inliers
+
+
+@njit(cache=True, error_model="numpy")
+def squared_distance(source, target, match, T, limit):
+    """Sum of the squared distances, m², of the pairs of `linearise` at T."""
+    total = 0.0
+    for i in range(len(source)):
+        j = match[i]
+        if j < 0:
+            continue
+        d2 = 0.0
+        for r in range(3):
+            q = T[r, 0] * source[i, 0] + T[r, 1] * source[i, 1] + T[r, 2] * source[i, 2] + T[r, 3]
+            d2 += (q - target[j, r]) ** 2
+        if d2 <= limit * limit:
+            total += d2
+    return total

@@ -32,8 +32,9 @@ class RegistrationResult:
 
     ``H (6, 6)`` is the final normal matrix of a twist ξ = (ω, v) in the axes of the target: a rotation about ``centre
     (3,)``, the mean of the transformed source, and its translation. ``unobserved (u, 3)`` are unit vectors along which
-    the solve did not translate, since the paired surfaces have no normals along them
-    (`degeneracy.unobserved_shifts`).
+    the paired surfaces have no normals (`degeneracy.unobserved_shifts`), so the pose along them is not reliable;
+    `align` with ``normals_min`` does not translate along them. ``squared_m2``: sum of the squared distances of the
+    pairs at the pose; ``points``: number of points of the source.
     """
 
     T_target_source: Array
@@ -43,6 +44,22 @@ class RegistrationResult:
     reason: str
     centre: Array
     unobserved: Array
+    squared_m2: float
+    points: int
+
+    @property
+    def rmse_m(self) -> float:
+        """Root mean square distance of the pairs, metres, NaN without a pair: Open3D's ``inlier_rmse``."""
+        return math.sqrt(self.squared_m2 / self.inliers) if self.inliers else math.nan
+
+    @property
+    def overlap(self) -> float:
+        """Share of the source's points that have a pair, 0 to 1: Open3D's ``fitness``."""
+        return self.inliers / max(self.points, 1)
+
+    def __repr__(self) -> str:
+        numbers = f"rmse {self.rmse_m:.4g} m, overlap {self.overlap:.2f}, {len(self.unobserved)} directions unobserved"
+        return f"RegistrationResult({self.reason} after {self.iterations} iterations, {numbers})"
 
     @property
     def converged(self) -> bool:
@@ -74,6 +91,7 @@ class AlignOptions:
     accelerated: extrapolate steps that shrink at a constant rate (`_extrapolated`).
     normals_min: if above 0, ``gicp`` leaves out translations that the surfaces do not determine
         (`degeneracy.unobserved_shifts`).
+    pairs_anew: evaluate the result with the pairs at the returned pose, not with those from before the last step.
     """
 
     error: str
@@ -85,6 +103,7 @@ class AlignOptions:
     translation_epsilon_m: float = 1e-3
     accelerated: bool = False
     normals_min: float = 0.0
+    pairs_anew: bool = False
 
 
 def align(
@@ -149,8 +168,12 @@ def align(
         if turn_rad < options.rotation_epsilon_rad and move_m < options.translation_epsilon_m:
             reason = "converged"
             break
+    match = search(T) if options.pairs_anew else match
     here = linearise(T, match, T[:3, :3], limit)
-    return RegistrationResult(T, iterations, here.inliers, here.H, reason, here.centre, unobserved)
+    squared_m2 = kernels.squared_distance(source, target.point, match, T, limit)
+    return RegistrationResult(
+        T, iterations, here.inliers, here.H, reason, here.centre, unobserved, squared_m2, len(source)
+    )
 
 
 def prior_term(information: Array, T_init: Array, source: Array) -> Term:

@@ -38,6 +38,10 @@ class OdometrySettings(Settings):
 
     family: ClassVar[str]
 
+    def lowered(self, by_m: float) -> Self:
+        """These settings for a world whose zero is ``by_m`` higher."""
+        return self.replace(preprocess=self.preprocess.lowered(by_m))
+
     @staticmethod
     def preset(method: str = "best", sensor: str = "starling2", overrides: dict[str, Any] | None = None) -> "Family":
         """The settings of a method with a sensor's data; ``overrides`` as for `override`. The families ``faces`` and

@@ -1,7 +1,7 @@
 """Settings of the stages that several methods share, and of the final reconstruction. Lengths in metres, angles in
 radians."""
 
-from typing import Annotated
+from typing import Annotated, Self
 
 from pydantic import Field
 
@@ -17,6 +17,10 @@ class PreprocessSettings(Settings):
     crop_m: Positive = 6.0
     floor_m: Finite = 0.3
     voxel_leaf_m: Positive = 0.05
+
+    def lowered(self, by_m: float) -> Self:
+        """These settings for a world whose zero is ``by_m`` higher."""
+        return self.replace(floor_m=self.floor_m - by_m) if by_m else self
 
 
 class HoughSettings(Settings):
@@ -58,3 +62,7 @@ class StructureSettings(Settings):
     range_max_m: Positive = 6.0
     adjust: bool = False
     thickness: Annotated[float, Field(ge=THICKNESS_MIN, le=THICKNESS_MAX)] | None = None
+
+    def lowered(self, by_m: float) -> Self:
+        """These settings for a world whose zero is ``by_m`` higher."""
+        return self.replace(floor_m=self.floor_m - by_m) if by_m else self

@@ -7,8 +7,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from steelnb.core.checks import check_same_stamps, checked_kind, checked_number
 from steelnb.core.errors import InputError
 from steelnb.core.estimates import Estimate
+from steelnb.core.geometry import shift_of
 from steelnb.core.types import Flight, Trajectory
 from steelnb.fusion.adjustment import uncertainty
 from steelnb.fusion.adjustment.adjust import Stages, adjust
@@ -47,9 +49,22 @@ def smooth(
     those of one in three scans, at the poses before the last round. Its segments are the bars, with axes through the
     centroids of their sections. With too few bars, the old estimate is returned, with the reason in ``unsmoothed``.
 
-    Raises `InputError` if the readings have other units, axes or another clock (`check_imu`).
+    Raises `InputError` if the readings have other units, axes or another clock (`check_imu`), and if the estimate is
+    not of the flight. Poses far from zero are moved near it for the work (`shift_of`).
     """
-    settings = settings or StructureSettings()
+    settings = StructureSettings() if settings is None else settings
+    checked_kind(flight, "flight", Flight, "read_flight")
+    checked_kind(estimate, "estimate", Estimate, "odometry.correct")
+    checked_kind(settings, "settings", StructureSettings)
+    tilt_sigma_rad = checked_number(tilt_sigma_rad, "tilt_sigma_rad", 0.0)
+    check_same_stamps(estimate.corrected.stamp_s, "estimate", flight.prior.stamp_s, "the scans of the flight")
+    origin = shift_of(flight.prior.position[0]) if len(flight) else np.zeros(3)
+    if origin.any():
+        near = flight.moved(-origin)
+        found = smooth(
+            near, estimate.moved(-origin, near.prior), settings.lowered(float(origin[2])), tilt_sigma_rad, imu
+        )
+        return found.moved(origin, estimate.prior)
     stamp_s, mount = flight.prior.stamp_s, flight.T_drone_sensor
     prior, T = flight.prior.T_world_drone @ mount, estimate.corrected.T_world_drone @ mount
     before, inertial = None, None
