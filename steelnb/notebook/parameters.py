@@ -25,11 +25,11 @@ FOLDER = "results_dir"
 """The parameter that every notebook has, and that the workflow sets."""
 INJECTED = "# Parameters\n"
 """The first line of the cell that papermill inserts behind the one tagged ``parameters``."""
-Count = Annotated[int, Field(gt=0)]
+Count = Annotated[int, Field(gt=0, le=10_000)]
 FiniteDuration = Annotated[Duration, Field(allow_inf_nan=False)]
 KINDS: Mapping[str, Any] = {
     "seed": SeedOrReport, "seeds": Count, "cloud_seeds": SeedOrReport, "tower": str, "level": NotNegative,
-    "draws": Annotated[int, Field(ge=2)], "views": Count, "slow_views": Count, "condition_views": Count,
+    "draws": Annotated[int, Field(ge=2, le=10_000)], "views": Count, "slow_views": Count, "condition_views": Count,
     "duration_s": FiniteDuration, "drift_s": FiniteDuration, "cloud_s": FiniteDuration, "range_max_m": Positive,
     "correspondence_m": Positive, "reach_m": Positive, "step_m": Positive, "noise_m": NotNegative,
     "clutter": Annotated[float, Field(ge=0, lt=1)], "kept": Annotated[float, Field(gt=0, le=1)],
@@ -171,7 +171,7 @@ def check_parameters(experiment: str, given: Mapping[str, Any], defaults: Mappin
     values = {name: getattr(fitted, name) for name in kinds}
     try:
         for name, value in values.items():
-            if isinstance(value, list) and name != "blind_s":
+            if isinstance(value, list):
                 check_once(name, value)
         check_combinations(values)
     except InputError as fault:

@@ -83,4 +83,5 @@ def at_level(noise: str, level: float) -> str:
     if noise == "none" or level == 1:
         return noise
     parts = (part.strip().partition(":") for part in noise.split("+"))
-    return "+".join(f"{name}:{level * float(given or REPORT_NOISE[name][1]):g}" for name, _, given in parts)
+    levels = [f"{name}:{level * float(given or REPORT_NOISE[name][1]):g}" for name, _, given in parts]
+    return "+".join(text.replace("e+", "e") for text in levels)
