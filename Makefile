@@ -69,8 +69,13 @@ train: $(READY)  ## train the network of `deepvo` from scratch (half an hour on 
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check "torch>=2.4"
 	$(BIN)/python scripts/train-deepvo
 
-lab: $(READY)  ## open JupyterLab with the notebook 00_explore
-	@JUPYTER_CONFIG_PATH="$(CURDIR)/scripts/jupyterlab" $(BIN)/jupyter lab --notebook-dir=. notebooks/00_explore.ipynb
+# Copies, so that edited parameters leave the tracked notebooks clean; an existing copy stays. Jupyter refuses root without a
+# word. LAB="--ip=0.0.0.0 --no-browser" opens it from outside a container.
+lab: $(READY)  ## open JupyterLab with a copy of the notebook 00_explore (LAB= further options)
+	@mkdir -p my-notebooks && for file in notebooks/*.ipynb; do test -e "my-notebooks/$${file##*/}" || cp "$$file" my-notebooks/; done
+	@echo "my-notebooks/ holds your copies of the notebooks: edit them, and delete one to get the current version."
+	@JUPYTER_CONFIG_PATH="$(CURDIR)/scripts/jupyterlab" $(BIN)/jupyter lab --notebook-dir=. \
+	    $(if $(filter 0,$(shell id -u)),--allow-root) $(LAB) my-notebooks/00_explore.ipynb
 
 GROUPS := workflow docs dev build
 # The lock names extras, since pip treats `package[extra]` as a separate requirement that needs its own pin. Without them,

@@ -223,7 +223,8 @@ def study(
 
     Rows are cached in .cache/runs, so a killed study resumes. Exit code 1: some runs failed.
     """
-    from steelnb.notebook.study import RUNS, read_grids, run_study, write_runs
+    from steelnb.notebook.results import RUNS
+    from steelnb.notebook.study import read_grids, run_study, write_runs
 
     table = run_study(read_grids(settings), jobs)
     write_runs(output, table)

@@ -1,5 +1,6 @@
 """JupyterLab as `make lab` starts it: saving an executed notebook changes no file of the project."""
 
+import os
 import re
 import shutil
 import subprocess
@@ -34,7 +35,9 @@ def manager(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     """The contents manager of a server on a clone of the notebooks, with the settings of `make lab`."""
     for name in ("CONFIG_DIR", "DATA_DIR", "RUNTIME_DIR"):
         monkeypatch.setenv(f"JUPYTER_{name}", str(tmp_path / name))
-    settings = re.search(r'^lab:.*\n.*JUPYTER_CONFIG_PATH="(\S+)"', (ROOT / "Makefile").read_text(), re.MULTILINE)
+    settings = re.search(
+        r'^lab:(?:.*\n\t)+?.*JUPYTER_CONFIG_PATH="(\S+)"', (ROOT / "Makefile").read_text(), re.MULTILINE
+    )
     assert settings is not None
     monkeypatch.setenv("JUPYTER_CONFIG_PATH", settings[1].replace("$(CURDIR)", str(ROOT)))
     project = tmp_path / "project"
@@ -72,3 +75,14 @@ def test_other_folders_keep_their_outputs(manager) -> None:
     (Path(manager.root_dir) / "mine").mkdir()
     save(manager, "mine/a.ipynb", run_in_lab(NOTEBOOKS[0]))
     assert nbformat.read(Path(manager.root_dir) / "mine" / "a.ipynb", 4).cells[1].outputs
+
+
+@pytest.mark.parametrize(("user", "allowed"), [("0", True), ("1000", False)])
+def test_only_root_is_allowed_to_be_root(tmp_path: Path, user: str, allowed: bool) -> None:
+    (tmp_path / "id").write_text(f"#!/bin/sh\necho {user}\n")
+    (tmp_path / "id").chmod(0o755)
+    command = ["make", "-n", "-o", ".venv/.ready", "lab"]
+    seen = {**os.environ, "PATH": f"{tmp_path}:{os.environ['PATH']}"}
+    shown = subprocess.run(command, cwd=ROOT, env=seen, check=True, capture_output=True, text=True).stdout
+    assert ("--allow-root" in shown) == allowed
+    assert "my-notebooks/00_explore.ipynb" in shown

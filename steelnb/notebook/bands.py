@@ -9,7 +9,8 @@ from joblib import Parallel, delayed
 from steelnb import experiment
 from steelnb.core.errors import InputError
 from steelnb.metrics import position_error_m
-from steelnb.notebook.report import plot_of, report_curve
+from steelnb.notebook.cases import plot_of
+from steelnb.notebook.report import report_curve
 from steelnb.notebook.tables import CASE_COLUMNS, case_of
 from steelnb.settings import ExperimentSettings
 

@@ -1,23 +1,19 @@
-"""The report's plots, and the experiments behind them."""
+"""The curves of the report's plots, beside those of runs."""
 
-import itertools
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pandas as pd
 
 from steelnb import experiment
-from steelnb.core import rng
-from steelnb.core.errors import InputError
 from steelnb.core.types import Array
 from steelnb.metrics import position_error_m
+from steelnb.notebook.cases import plot_of
 from steelnb.notebook.results import find_root
 from steelnb.notebook.tables import case_of, cloud_table
-from steelnb.settings import ExperimentSettings
-from steelnb.settings.report_plots import ReportPlot, read_report_plots
+from steelnb.settings.report_plots import ReportPlot
 
 REPORT_FIGURE = {"vertical": "3_2", "orbit": "3_3", "random-walk": "3_5", "constant-drift": "3_6"}
 """The report's figure, as in file names: by flight for segment odometry, by noise for point-cloud odometry."""
@@ -38,60 +34,6 @@ def report_curve(plot: ReportPlot, curve: str = "corrected", until_s: float = np
     rows = rows[(rows[list(named)] == pd.Series(named)).all(axis=1)]
     time_s, error_m = plot.time_at(rows["step"].to_numpy()), rows["error_m"].to_numpy()
     return time_s[time_s <= until_s], error_m[time_s <= until_s]  # false for NaN
-
-
-def plot_of(settings: ExperimentSettings) -> ReportPlot | None:
-    """The report's plot whose samples an experiment has, if it has its flight and noise as well, or None."""
-    name = settings.tof.samples
-    plot = ReportPlot.named(name) if isinstance(name, str) else None
-    if plot is None or plot.noise != settings.noise_name:
-        return None
-    return plot if (plot.flight or plot.trajectory) == settings.flight.trajectory else None
-
-
-def report_cases(
-    trajectory: Iterable[str],
-    noise: str,
-    methods: Mapping[str, Iterable[str]],
-    sensor: str = "report",
-    seed: rng.Seed = "report",
-    duration_s: float | None = None,
-    overrides: dict[str, Any] | None = None,
-) -> list[ExperimentSettings]:
-    """Settings of the report's own experiments. ``methods`` maps the method of a plot to the methods that are run with
-    the sampling of that plot. If no plot of a flight has the ``noise``, the sampling is that of its other plot.
-
-    ``duration_s``: default, the duration of the plot. A plot's earlier run is left out. Raises `InputError`.
-    """
-    cases = []
-    shown_runs = [plot for plot in read_report_plots() if not plot.run]
-    for flight, shown in itertools.product(dict.fromkeys(trajectory), methods):
-        plots = [plot for plot in shown_runs if (plot.trajectory, plot.method) == (flight, shown)]
-        if not plots:
-            raise InputError(f"no plot of the report shows {shown!r} on the flight {flight!r}")
-        plot = next((plot for plot in plots if plot.noise == noise), plots[0])
-        cases += [
-            ExperimentSettings.report(
-                plot.figure, flight, shown, method, overrides, "", noise, sensor, seed, duration_s
-            )
-            for method in dict.fromkeys(methods[shown])
-        ]  # fmt: skip
-    return cases
-
-
-def with_earlier_runs(cases: Iterable[ExperimentSettings]) -> list[ExperimentSettings]:
-    """The cases, each after the earlier run that the report's plot of it shows, if there is one."""
-    earlier = {f"{plot.figure} {plot.trajectory} {plot.method}": plot for plot in read_report_plots() if plot.run}
-    found = []
-    for case in cases:
-        plot = plot_of(case)
-        if plot and plot.name in earlier:
-            own = case.override({"tof.samples": earlier[plot.name].name})
-            found.append(
-                own.override({"flight.duration_s": min(earlier[plot.name].duration_s, case.flight.duration_s)})
-            )
-        found.append(case)
-    return found
 
 
 def report_table(results: Sequence[experiment.Result]) -> pd.DataFrame:

@@ -19,6 +19,8 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
 EXPERIMENTS_FILE = Path("notebooks", "runs.toml")
+RUNS = "runs.parquet"
+"""The table of a study, in its folder."""
 PACKAGES = ("steelnb", "numpy", "scipy", "pandas", "numba", "open3d", "open3d-cpu", "pybullet", "evo", "matplotlib")
 PICTURES = ("fig_*.png", "structure_*.json")
 TABLES = ("table.csv", "bands.csv", "clouds.csv", "curves.csv", "timing.csv")

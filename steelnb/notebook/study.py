@@ -24,6 +24,7 @@ from steelnb.core.determinism import machine
 from steelnb.core.errors import InputError
 from steelnb.core.files import new_folder, reading
 from steelnb.metrics import diagnose, position_error_m
+from steelnb.notebook.results import RUNS
 from steelnb.notebook.runs import Flights, run_all
 from steelnb.notebook.tables import case_of, stage_times
 from steelnb.settings import ExperimentSettings, Settings, TrajectoryName, read_tables
@@ -40,7 +41,7 @@ KEPT = Path(".cache", "runs")
 """Folder of cached rows, below the current one."""
 ROW_SOURCES = digest_rooms("notebook")
 """Rows depend on this room as well as on the rooms that flights and estimates depend on."""
-RUNS, TIMING = "runs.parquet", "timing.parquet"
+TIMING = "timing.parquet"
 
 
 class Run(NamedTuple):

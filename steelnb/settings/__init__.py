@@ -23,7 +23,7 @@ from steelnb.settings.odometry import (
     ReportSegmentSettings,
     SegmentSettings,
 )
-from steelnb.settings.presets import METHODS, SENSORS, read_tables
+from steelnb.settings.presets import METHODS, SENSORS, TOWERS, read_tables
 from steelnb.settings.report_plots import read_report_plots
 from steelnb.settings.sensors import CameraSettings, ImuSettings, TofFault, TofSettings
 from steelnb.settings.stages import FusionSettings, HoughSettings, PreprocessSettings, StructureSettings
@@ -32,7 +32,7 @@ from steelnb.settings.tower import TowerSettings
 TRAJECTORIES: tuple[TrajectoryName, ...] = get_args(TrajectoryName)
 
 __all__ = [
-    "METHODS", "REPORT_NOISE", "SENSORS", "TRAJECTORIES", "CameraSettings", "CloudSettings", "DeepVoSettings",
+    "METHODS", "REPORT_NOISE", "SENSORS", "TOWERS", "TRAJECTORIES", "CameraSettings", "CloudSettings", "DeepVoSettings",
     "ExperimentSettings", "FaceSettings", "FlightSettings", "FusionSettings", "HoughSettings", "ImuSettings",
     "LibrarySettings", "LoamSettings", "Noise", "OdometrySettings", "OrbSettings", "PreprocessSettings",
     "RegistrationSettings", "ReportCloudSettings", "ReportSegmentSettings", "SegmentSettings", "Settings",

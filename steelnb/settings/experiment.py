@@ -13,6 +13,9 @@ from steelnb.settings.report_plots import STEP_S, ReportPlot
 from steelnb.settings.sensors import ImuSettings, TofSettings
 from steelnb.settings.tower import TowerSettings
 
+SCANS_MIN = 2
+"""The first scan of an odometry is its map, so that it takes a second one to have an error."""
+
 
 class ExperimentSettings(Settings):
     """Everything that one run depends on. ``seed`` determines drift, sensor noise and gusts, not the tower.
@@ -38,6 +41,8 @@ class ExperimentSettings(Settings):
         noise = self.noise  # raises for an unknown name
         if self.seed == "report":
             noise.check_report()
+        if isinstance(self.tof.samples, str):
+            self._has_samples_of(self.tof.samples)
         own = self.tof.samples if isinstance(self.tof.samples, tuple) else ()
         if own and own[-1] * STEP_S > self.flight.duration_s:
             raise ValueError(
@@ -49,6 +54,17 @@ class ExperimentSettings(Settings):
                 f"tof.start_s = {self.tof.start_s:g}: expected less than the flight's {self.flight.duration_s:g} s"
             )
         return self
+
+    def _has_samples_of(self, plot: str) -> None:
+        """Raise ValueError if the flight ends before, or the sensor starts after, the first two scans of a plot."""
+        time_s = self.tof.sample_steps() * STEP_S
+        left_s = time_s[(time_s >= self.tof.start_s) & (time_s <= self.flight.duration_s)]
+        if len(left_s) < SCANS_MIN:
+            raise ValueError(
+                f"flight.duration_s = {self.flight.duration_s:g} and tof.start_s = {self.tof.start_s:g} leave"
+                f" {len(left_s)} scans of the plot {plot!r}, which begins at {time_s[0]:g} s and ends at"
+                f" {time_s[-1]:g} s: expected at least {SCANS_MIN}"
+            )
 
     @property
     def noise(self) -> Noise:
@@ -65,10 +81,11 @@ class ExperimentSettings(Settings):
         seed: rng.Seed = 1,
         duration_s: float | None = None,
         overrides: dict[str, Any] | None = None,
+        tower: str | None = None,
     ) -> "ExperimentSettings":
-        """The settings of a flight, noise, method and sensor, named as in the notebooks.
+        """The settings of a flight, noise, method, sensor and tower, named as in the notebooks.
 
-        The flight's preset determines the tower and, by default, the duration. ``overrides`` changes single settings,
+        By default, the flight's preset determines the tower and the duration. ``overrides`` changes single settings,
         such as ``{"tof.rate_hz": 10.0, "hough.dx_m": 0.05}``. Raises `InputError`.
 
         >>> settings = ExperimentSettings.preset("loops", method="best", overrides={"tof.rate_hz": 10.0})
@@ -80,7 +97,7 @@ class ExperimentSettings(Settings):
             sensor=sensor,
             noise_name=noise,
             seed=seed,
-            tower=TowerSettings.of_flight(trajectory),
+            tower=TowerSettings.of_flight(trajectory) if tower is None else TowerSettings.preset(tower),
             flight=FlightSettings.preset(trajectory, duration_s),
             tof=TofSettings.preset(sensor),
             imu=ImuSettings.preset(sensor),
@@ -101,11 +118,12 @@ class ExperimentSettings(Settings):
         sensor: str = "report",
         seed: rng.Seed = "report",
         duration_s: float | None = None,
+        tower: str | None = None,
     ) -> "ExperimentSettings":
         """The experiment behind one of the report's plots, with its flight, tower, sensor, noise draws and scan times.
 
         ``odometry``: another method on the same scans; ``run``: ``"earlier"`` for that of a plot that shows two. By
-        default, ``noise``, ``sensor``, ``seed`` and ``duration_s`` are the report's. Raises `InputError`.
+        default, ``noise``, ``sensor``, ``seed``, ``duration_s`` and ``tower`` are the report's. Raises `InputError`.
 
         >>> settings = ExperimentSettings.report("3.5", "vertical", "gicp")
         >>> settings.seed, settings.noise_name, len(settings.tof.sample_steps())
@@ -114,7 +132,7 @@ class ExperimentSettings(Settings):
         plot = ReportPlot.find(figure, trajectory, method, run)
         settings = cls.preset(
             plot.flight or plot.trajectory, noise or plot.noise, odometry or method, sensor, seed,  # type: ignore[arg-type]
-            duration_s or plot.duration_s, {"tof.samples": plot.name},
+            plot.duration_s if duration_s is None else duration_s, {"tof.samples": plot.name}, tower,
         )  # fmt: skip
         if plot.still_s is not None:
             settings = settings.override({"flight.still_s": plot.still_s})
@@ -126,8 +144,11 @@ class ExperimentSettings(Settings):
         """A copy with single settings changed, each named ``table.setting``. Raises `InputError`.
 
         The tables of the world are ``tower``, ``flight``, ``tof`` and ``imu``. All other names belong to the odometry.
+        ``tower`` may be the name of a preset.
         """
         own = type(self).model_fields
+        if isinstance(overrides.get("tower"), str):
+            overrides = {**overrides, "tower": TowerSettings.preset(overrides["tower"])}
         return super().override(
             {path if path.partition(".")[0] in own else f"odometry.{path}": value for path, value in overrides.items()}
         )

@@ -74,3 +74,14 @@ REPORT_NOISE = {
     "tilt": ("tilt_rad", math.radians(1.0)),
 }
 """Name → setting, and default level (the report's, except for ``tilt``)."""
+
+
+def at_level(noise: str, level: float) -> str:
+    """A noise with all its levels multiplied by ``level``. Parts without a level have the report's. Raises `InputError`
+    for an unknown noise."""
+    Noise.parse(noise)
+    if noise == "none" or level == 1:
+        return noise
+    parts = (part.strip().partition(":") for part in noise.split("+"))
+    levels = [f"{name}:{level * float(given or REPORT_NOISE[name][1]):g}" for name, _, given in parts]
+    return "+".join(text.replace("e+", "e") for text in levels)

@@ -93,4 +93,4 @@ def _preset(name: str) -> dict[str, Any]:
     return dict(as_tuples(read_toml(PRESETS / f"{name}.toml")))
 
 
-METHODS = tuple(_preset("methods"))
+METHODS, TOWERS = (tuple(_preset(file)) for file in ("methods", "towers"))

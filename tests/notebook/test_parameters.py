@@ -11,9 +11,9 @@ from IPython.core.interactiveshell import InteractiveShell
 
 from steelnb.core.errors import InputError
 from steelnb.notebook import parameters
-from steelnb.notebook.parameters import check_names, check_parameters
+from steelnb.notebook.parameters import check_names, check_parameters, literals
 from steelnb.settings import parse_parameter
-from workflow.experiments import parse_parameters, read_parameters
+from workflow.experiments import make_parts, parse_parameters, read_parameters
 
 NOTEBOOKS = sorted((Path(__file__).parents[2] / "notebooks").glob("*.ipynb"))
 DEFAULTS = {
@@ -56,11 +56,103 @@ def test_values_take_the_type_of_their_defaults() -> None:
         "any": 3,
         "count": 2,
         "seed": "report",
-        "blind_s": [[1, 2], []],
+        "blind_s": [[1, 2], [3, 4]],
     }
     fitted = check_parameters("e", given, DEFAULTS)
     assert fitted == given
     assert type(fitted["value"]) is float
+
+
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+def test_every_parameter_of_every_notebook_refuses_what_it_cannot_be(path: Path) -> None:
+    defaults = read_parameters(path)
+    nan = float("nan")
+    wrong = {str: [5.5, ["x"], None], int: [-1, nan, "x", None], float: [-1.0, nan, "x", None]}
+    wrong |= {list: [None, "x", [nan]], dict: [None, "x", {"misspelt": 1}], type(None): ["x", -1, nan]}
+    for name, default in defaults.items():
+        twice = [default * 2] if isinstance(default, list) else []
+        for value in wrong[type(default)] + twice:
+            with pytest.raises(InputError) as caught:
+                check_parameters("e", {name: value}, defaults)
+            assert "\n" not in str(caught.value), (name, value)
+            assert name in str(caught.value) or isinstance(default, dict), (name, value)
+
+
+@pytest.mark.parametrize(
+    ("notebook", "given", "words"),
+    [
+        ("00", {"seed": "report"}, ["seed = 'report'", "number"]),
+        ("00", {"trajectory": "loops", "tower": "heavi"}, ["tower = 'heavi', did you mean 'heavy'"]),
+        ("01", {"seeds": 0}, ["seeds = 0", "greater than 0"]),
+        ("01", {"tower": "light", "overrides": {"tower": "heavy"}}, ["'light'", "'heavy'", "expected one tower"]),
+        ("02", {"correction": []}, ["correction = []", "at least 1"]),
+        ("02", {"correction": ["none"]}, ["correction = 'none'", "'average'"]),
+        ("02", {"draws": 1}, ["draws = 1"]),
+        ("02", {"trajectory": "zigzag"}, ["'zigzag'", "'average' on 'orbit'"]),
+        ("02", {"duration_s": 1e-3}, ["duration_s = 0.001", "leave 0 scans", "begins at"]),
+        ("03", {"drawn": ["smoothed"]}, ["drawn = 'smoothed'", "'report-gicp'"]),
+        ("03", {"duration_s": 3.0}, ["duration_s = 3 ", "begins at 3.872 s"]),
+        ("03", {"overrides": {"tof.start_s": 540.0}}, ["start_s = 540", "expected"]),
+        ("03", {"methods": {"icp": ["icp", "icp"]}, "drawn": ["icp"]}, ["'icp' twice"]),
+        ("03", {"trajectory": ["orbit", "orbit"]}, ["'orbit' twice"]),
+        ("04", {"blind_s": [[75.0, 60.0]]}, ["blind_s: [75.0, 60.0]"]),
+        ("04", {"step_m": 2.0}, ["step_m = 2 with reach_m = 1.2"]),
+        ("05", {"mapped": ["none", "smoothed"]}, ["mapped = 'smoothed'"]),
+        ("06", {"slow": ["gms"]}, ["slow = 'gms', did you mean 'gmm'"]),
+        ("06", {"options": {"gmm": {"component": [3]}}}, ["options.gmm = 'component', did you mean 'components'"]),
+        ("06", {"options": {"gmm": {"components": [0]}}}, ["options.gmm.components = [0]", "above 0"]),
+        ("06", {"cloud_seeds": {"heavi": [1]}}, ["cloud_seeds = 'heavi'"]),
+        ("07", {"seeds": []}, ["seeds = []"]),
+        ("07", {"tower": ["tapered", "hevy"]}, ["tower = 'hevy'"]),
+        ("08", {"study_folder": "results"}, ["study_folder = 'results'", "runs.parquet"]),
+        ("10", {"methods": ["orb", "lam"]}, ["methods = 'lam', did you mean 'loam'"]),
+        ("12", {"claims_file": "no.toml"}, ["claims_file = 'no.toml'"]),
+        ("13", {"recording": "no.bag"}, ["recording = 'no.bag'"]),
+    ],
+)
+def test_what_cannot_be_flown_or_drawn_is_refused(notebook: str, given: dict, words: list[str]) -> None:
+    (path,) = (path for path in NOTEBOOKS if path.name.startswith(notebook))
+    with pytest.raises(InputError) as caught:
+        check_parameters("e", given, read_parameters(path))
+    assert all(word in str(caught.value) for word in words), str(caught.value)
+
+
+def cell_of(path: Path) -> str:
+    return next(cell.source for cell in nbformat.read(path, 4).cells if cell.metadata.get("tags"))
+
+
+def test_a_reader_s_own_edits_are_checked_against_the_committed_cell(shell: InteractiveShell) -> None:
+    source = cell_of(next(path for path in NOTEBOOKS if path.stem.startswith("02")))
+    run(shell, source.replace("draws = 4", "draws = 2 + 2"))
+    parameters.validate()
+    for old, new, words in [
+        ("draws = 4", 'draws = "four"', "draws = 'four'"),
+        ('"vertical"  #', "[]  #", "trajectory"),
+    ]:
+        assert old in source
+        run(shell, source.replace(old, new))
+        with pytest.raises(InputError, match=words):
+            parameters.validate()
+
+
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+def test_the_note_is_shown_for_other_parameters_than_the_committed_ones(
+    path: Path, shell: InteractiveShell, capsys: pytest.CaptureFixture
+) -> None:
+    cells = [cell.source for cell in nbformat.read(path, 4).cells]
+    conclusions = [k for k, cell in enumerate(cells) if cell.startswith("## Conclusions")]
+    assert [cells[k - 1] for k in conclusions] == ["parameters.note()"] * (path.stem != "00_explore")
+    parts = [part for part in make_parts(path.parents[1], [], "full") if part.notebook == path]
+    for part in parts:
+        run(shell, cell_of(path))
+        run(shell, "# Parameters\n" + "".join(f"{name} = {value!r}\n" for name, value in part.parameters.items()))
+        parameters.note()
+        assert capsys.readouterr().out == "", part.label
+        run(shell, cell_of(path))
+        name, value = next(iter(literals(cell_of(path)).items()))
+        run(shell, f"# Parameters\n{name} = {[value]!r}\n")
+        parameters.note()
+        assert f"(results/{part.id}), not this one" in capsys.readouterr().out
 
 
 @pytest.fixture

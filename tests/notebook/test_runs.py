@@ -10,6 +10,7 @@ from steelnb.metrics import paired_clouds, position_error_m
 from steelnb.notebook import report, tables
 from steelnb.notebook.bands import band_curves, band_table, draw_programs
 from steelnb.notebook.basin import find_basin
+from steelnb.notebook.cases import plot_of, report_cases, with_earlier_runs
 from steelnb.notebook.clouds import assembled_clouds
 from steelnb.notebook.runs import flight_paths, run_all
 from steelnb.settings import ExperimentSettings
@@ -78,23 +79,23 @@ def test_starts_at_the_truth_converge_and_far_ones_do_not(runs):
 
 
 def test_the_report_s_experiments_have_its_samples_and_its_curves():
-    cases = report.report_cases(["orbit"], "constant-drift", {"average": ["average"], "gicp": ["report-gicp", "gicp"]})
+    cases = report_cases(["orbit"], "constant-drift", {"average": ["average"], "gicp": ["report-gicp", "gicp"]})
     assert [case.flight.trajectory for case in cases] == ["orbit-3.3", "orbit", "orbit"]
     assert {case.seed for case in cases} == {"report"}
-    plots = [report.plot_of(case) for case in cases]
+    plots = [plot_of(case) for case in cases]
     assert [(plot.figure, plot.method) for plot in plots] == [("3.3", "average"), ("3.6", "gicp"), ("3.6", "gicp")]
     assert [case.tof.samples for case in cases] == [plot.name for plot in plots]
     time_s, error_m = report.report_curve(plots[0])
     assert report.report_curve(plots[0], until_s=60.0)[0].max() <= 60
     assert (error_m.mean(), error_m.max(), error_m[-1]) == pytest.approx((0.285, 0.417, 0.33), abs=0.003)
     assert time_s[-1] == pytest.approx(plots[0].duration_s, abs=2)
-    walk = report.report_cases(["orbit"], "random-walk", {"average": ["average"]})[0]
+    walk = report_cases(["orbit"], "random-walk", {"average": ["average"]})[0]
     assert walk.tof == cases[0].tof
-    assert report.plot_of(walk) is None, "the report shows segments with constant drift alone"
+    assert plot_of(walk) is None, "the report shows segments with constant drift alone"
     elsewhere = ExperimentSettings.preset("vertical", "constant-drift", overrides={"tof.samples": "3.6 orbit gicp"})
-    assert report.plot_of(elsewhere) is None, "the same samples on another flight"
+    assert plot_of(elsewhere) is None, "the same samples on another flight"
     with pytest.raises(InputError, match="'best' on the flight 'orbit'"):
-        report.report_cases(["orbit"], "random-walk", {"best": ["best"]})
+        report_cases(["orbit"], "random-walk", {"best": ["best"]})
     early, late = (plot for plot in read_report_plots() if plot.name.startswith("3.5 vertical icp-3dof"))
     for plot, count in ((early, 415), (late, 835)):
         time_s = report.report_curve(plot)[0]
@@ -105,7 +106,7 @@ def test_the_report_s_experiments_have_its_samples_and_its_curves():
 
 def test_a_band_holds_its_draws_and_says_where_the_report_lies():
     short = {"duration_s": 27.0, "overrides": {"tof.start_s": 20.0}}
-    cases = report.report_cases(["vertical"], "random-walk", {"gicp": ["report-gicp"]}, **short)
+    cases = report_cases(["vertical"], "random-walk", {"gicp": ["report-gicp"]}, **short)
     drawn = draw_programs(cases, 3)
     assert set(drawn["curve"]) == {"draws", "draw", "report"}
     ours = drawn[drawn["curve"] == "draws"].pivot(index="sample", columns="draw", values="error_m")
@@ -132,10 +133,10 @@ def test_a_band_holds_its_draws_and_says_where_the_report_lies():
 
 
 def test_the_earlier_run_of_a_plot_is_flown_before_it():
-    cases = report.report_cases(["vertical"], "random-walk", {"icp-3dof": ["report-icp-3dof"], "gicp": ["report-gicp"]})
-    earlier, main, gicp = report.with_earlier_runs(cases)
-    assert [report.plot_of(each).run for each in (earlier, main, gicp)] == ["earlier", "", ""]
-    assert (report.plot_of(earlier).samples, earlier.flight.duration_s) == (415, pytest.approx(90.6, abs=0.1))
+    cases = report_cases(["vertical"], "random-walk", {"icp-3dof": ["report-icp-3dof"], "gicp": ["report-gicp"]})
+    earlier, main, gicp = with_earlier_runs(cases)
+    assert [plot_of(each).run for each in (earlier, main, gicp)] == ["earlier", "", ""]
+    assert (plot_of(earlier).samples, earlier.flight.duration_s) == (415, pytest.approx(90.6, abs=0.1))
 
 
 def test_a_program_keeps_map_and_correction_of_a_run_that_was_broken_off():

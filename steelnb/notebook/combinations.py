@@ -1,0 +1,177 @@
+"""Checks of a notebook's parameters against each other: what cannot be flown or drawn is refused before any flight.
+
+Every check is bound to the name of a parameter and sees the values of all. Libraries that take a second to import are
+imported by the checks that need them, so that a refusal takes no longer than the start of a kernel.
+"""
+
+import inspect
+import itertools
+from collections.abc import Callable, Collection, Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+from steelnb.core.checks import guess, quoted
+from steelnb.core.errors import InputError
+from steelnb.notebook.cases import report_cases, with_earlier_runs
+from steelnb.notebook.results import RUNS, find_root
+from steelnb.settings import METHODS, TOWERS, ExperimentSettings
+from steelnb.settings.noise import at_level
+
+PRESET_ARGUMENTS = "trajectory", "noise", "method", "sensor", "seed", "duration_s", "overrides", "tower"
+SIDE_MAX = 100
+"""Largest number of steps from the middle of a basin to its edge: 40,000 starts, of half a millisecond."""
+Values = Mapping[str, Any]
+
+
+def check_names(parameter: str, names: Iterable[str], known: Collection[str]) -> None:
+    """Raise `InputError` for the first of the names in a parameter that is not ``known``."""
+    for name in names:
+        if name not in known:
+            raise InputError(f"{parameter} = {name!r}{guess(name, known)}: expected one of {quoted(known)}")
+
+
+def check_combinations(values: Values) -> None:
+    """Raise `InputError` for the first parameter that the others contradict, or that names nothing."""
+    _check_presets(values)
+    for name in values:
+        if name in CHECKS:
+            CHECKS[name](values)
+
+
+def _all(value: Any) -> list[Any]:
+    return value if isinstance(value, list) else [value]
+
+
+def _check_presets(values: Values) -> None:
+    """Every combination of the values in lists is an experiment."""
+    names = [name for name in PRESET_ARGUMENTS if name in values]
+    for combination in itertools.product(*(_all(values[name]) for name in names)) if names else ():
+        given = dict(zip(names, combination, strict=True))
+        if "level" in values:
+            given["noise"] = at_level(given["noise"], values["level"])
+        ExperimentSettings.preset(**given)
+
+
+def _check_tower(values: Values) -> None:
+    if values["tower"] is not None and "tower" in values.get("overrides", {}):
+        raise InputError(f"tower = {values['tower']!r} and overrides = {values['overrides']}: expected one tower")
+
+
+def _check_level(values: Values) -> None:
+    if values["seed"] == "report":
+        raise InputError("seed = 'report': expected a number, since a slider moves it")
+
+
+def _flown(values: Values) -> dict[str, list[str]]:
+    """The methods that fly on the samples of each of the report's plots."""
+    return values["methods"] if "methods" in values else {"average": values["correction"]}
+
+
+def _check_plots(values: Values) -> None:
+    given = {"sensor", "seed", "duration_s", "overrides", "tower"} & values.keys()
+    methods, trajectory = _flown(values), _all(values["trajectory"])
+    with_earlier_runs(report_cases(trajectory, values["noise"], methods, **{name: values[name] for name in given}))
+    for shown, names in methods.items():
+        check_once(f"methods, {shown}", names)
+
+
+def _check_correction(values: Values) -> None:
+    check_names("correction", values["correction"], [name for name in METHODS if name != "none"])
+    _check_plots(values)
+
+
+def _check_methods(values: Values) -> None:
+    methods = values["methods"]
+    if isinstance(methods, dict):
+        _check_plots(values)
+    elif "slow" in values:
+        _check_finders(values)
+    else:
+        check_names("methods", methods, METHODS)
+
+
+def _check_finders(values: Values) -> None:
+    from steelnb.hough.alternatives.methods import FINDERS
+
+    check_names("methods", values["methods"], FINDERS)
+    check_names("slow", values["slow"], FINDERS)
+    check_names("options", values["options"], FINDERS)
+    for method, options in values["options"].items():
+        if not isinstance(options, dict):
+            raise InputError(f"options.{method} = {options!r}: expected a table of options")
+        own = list(inspect.signature(FINDERS[method]).parameters.values())[4:]  # after those that all have
+        check_names(f"options.{method}", options, [parameter.name for parameter in own])
+        for parameter in own:
+            value = options.get(parameter.name, parameter.default)
+            many = isinstance(parameter.default, tuple)
+            if isinstance(value, list | tuple) != many or not value or not all(_is_count(each) for each in _all(value)):
+                kind = "a list of whole numbers above 0" if many else "a whole number above 0"
+                raise InputError(f"options.{method}.{parameter.name} = {value!r}: expected {kind}")
+
+
+def _is_count(value: Any) -> bool:
+    return all(map(_is_count, value)) if isinstance(value, tuple) else type(value) is int and value > 0
+
+
+def _check_shown(name: str) -> Callable[[Values], None]:
+    """The check of a parameter that names some of the methods flown."""
+    return lambda values: check_names(name, values[name], [each for some in _flown(values).values() for each in some])
+
+
+def _check_blind(values: Values) -> None:
+    for gap in values["blind_s"]:
+        if len(gap) != 2 or not 0 <= gap[0] < gap[1]:
+            raise InputError(f"blind_s: {gap}: expected the first and last second of a gap, such as [60.0, 75.0]")
+
+
+def _check_step(values: Values) -> None:
+    reach_m, step_m = values["reach_m"], values["step_m"]
+    if not reach_m / SIDE_MAX <= step_m <= reach_m:
+        raise InputError(
+            f"step_m = {step_m:g} with reach_m = {reach_m:g}: expected from {reach_m / SIDE_MAX:g} to {reach_m:g} m"
+        )
+
+
+def _check_cloud_seeds(values: Values) -> None:
+    check_names("cloud_seeds", values["cloud_seeds"], TOWERS)
+
+
+def _check_file(name: str, inside: str = "") -> Callable[[Values], None]:
+    """The check of a parameter that names a file, or a folder with a file ``inside``."""
+
+    def check(values: Values) -> None:
+        path = find_root() / values[name] / inside
+        if not path.is_file():
+            raise InputError(f"{name} = {values[name]!r}: no file {path}")
+
+    return check
+
+
+def _check_recording(values: Values) -> None:
+    if values["recording"] and not Path(values["recording"]).exists():
+        raise InputError(f"recording = {values['recording']!r}: no such file or folder below {Path.cwd()}")
+
+
+def check_once(name: str, value: list[Any]) -> None:
+    """Raise `InputError` for an element that a list has twice."""
+    for k, each in enumerate(value):
+        if each in value[:k]:
+            raise InputError(f"{name} = {value}: {each!r} twice; expected each once")
+
+
+CHECKS: Mapping[str, Callable[[Values], None]] = {
+    "tower": _check_tower,
+    "level": _check_level,
+    "correction": _check_correction,
+    "methods": _check_methods,
+    "drawn": _check_shown("drawn"),
+    "mapped": _check_shown("mapped"),
+    "blind_s": _check_blind,
+    "step_m": _check_step,
+    "cloud_seeds": _check_cloud_seeds,
+    "study_folder": _check_file("study_folder", RUNS),
+    "frames_folder": _check_file("frames_folder", "table.csv"),
+    "claims_file": _check_file("claims_file"),
+    "recording": _check_recording,
+}
+"""Parameter → its check."""
