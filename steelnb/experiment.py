@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 from typing import cast
 
 from steelnb.core.cache import cached
+from steelnb.core.checks import checked_kind
 from steelnb.core.errors import InputError
 from steelnb.core.estimates import Estimate
 from steelnb.core.range_scans import RangeScans
@@ -49,7 +50,9 @@ class Result(Estimate):
 
 
 def run(settings: ExperimentSettings, on_progress: OnProgress | None = None) -> Result:
-    """Simulate a flight, let its pose drift, correct it scan by scan, and compare with the truth."""
+    """Simulate a flight, let its pose drift, correct it scan by scan, and compare with the truth.
+
+    Raises `InputError`."""
     flight, truth = simulate(settings)
     return estimate(settings, flight, truth, on_progress)
 
@@ -60,6 +63,7 @@ def simulate(settings: ExperimentSettings, on_progress: OnProgress | None = None
     The pilot of a planned flight sees no more than that: drifting poses, scans, and the estimate of the settings'
     odometry. Such a simulation takes as long as the odometry, and reports its progress.
     """
+    checked_kind(settings, "settings", ExperimentSettings, "ExperimentSettings.preset")
     tower, tof = build_tower(settings.tower), settings.tof
     planned = settings.flight.trajectory == "planned"
 

@@ -5,6 +5,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from steelnb.core.checks import checked_kind
 from steelnb.core.kernels import njit
 from steelnb.core.types import Array, IntArray, Segments
 from steelnb.settings import FusionSettings
@@ -79,7 +80,8 @@ class SegmentMap:
     """
 
     def __init__(self, settings: FusionSettings | None = None) -> None:
-        self.settings = settings or FusionSettings()
+        self.settings = FusionSettings() if settings is None else settings
+        checked_kind(self.settings, "settings", FusionSettings)
         self.sightings = np.zeros(0, dtype=np.int64)
         self.inserts = 0
         self._last = np.zeros(0, dtype=np.int64)  # the insert in which a bar was last observed
@@ -95,6 +97,7 @@ class SegmentMap:
         A segment without a match starts a bar. Bars that match each other once they have grown are merged, the later
         into the earlier. A ``segments`` object read before this call does not change.
         """
+        checked_kind(new, "new", Segments, "detect_segments")
         target = associate(new, self.segments, self.settings)
         fresh = np.flatnonzero(target < 0)
         target[fresh] = len(self) + np.arange(len(fresh))

@@ -5,7 +5,7 @@ import math
 import numpy as np
 from scipy.spatial import cKDTree
 
-from steelnb.core.checks import checked_cloud
+from steelnb.core.checks import checked_cloud, checked_integer, checked_number
 from steelnb.core.errors import InputError
 from steelnb.core.types import Array, Lines
 from steelnb.hough.directions import directions
@@ -53,13 +53,12 @@ def detect_lines(
     """
     points, low, high = distinct_points(points)
     diagonal = float(np.linalg.norm(high - low))
-    dx = default_dx(points) if dx is None else dx
-    if not 0 < dx < diagonal:
+    dx = default_dx(points) if dx is None else checked_number(dx, "dx", above=0)
+    if not dx < diagonal:
         raise InputError(f"dx = {dx}: expected a positive length below the cloud's diagonal, {diagonal:.3g} m")
-    if granularity not in range(7):
-        raise InputError(f"granularity = {granularity}: expected an integer from 0 to 6")
-    if min_votes < 2 or (max_lines is not None and max_lines < 1):
-        raise InputError(f"min_votes = {min_votes}, max_lines = {max_lines}: expected at least 2 and at least 1")
+    granularity = checked_integer(granularity, "granularity", 0, 6)
+    min_votes = checked_integer(min_votes, "min_votes", 2)
+    max_lines = None if max_lines is None else checked_integer(max_lines, "max_lines", 1)
     centre = (low + high) / 2.0
     px, py, pz = np.ascontiguousarray((points - centre).T)
     half = float(max(np.linalg.norm(high - centre), np.linalg.norm(low - centre)))

@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 
+from steelnb.core.checks import check_length, checked_integer, checked_kind, checked_number, checked_points
 from steelnb.core.types import Array, Lines, Segments
 from steelnb.hough.lines import default_dx, detect_lines
 from steelnb.hough.segments_kernels import cut, filter_pieces, merge
@@ -49,8 +50,8 @@ def detect_segments(
     dx = default_dx(points) if dx is None else dx
     lines = detect_lines(points, dx, min_votes, max_lines, granularity, skip_weak)
     return cut_and_sort(
-        np.asarray(points, dtype=np.float64), lines, GAP * dx if gap_max is None else gap_max, min_votes, pca_ratio_min,
-        radius_max, density_min, length_min,
+        points, lines, GAP * dx if gap_max is None else gap_max, min_votes, pca_ratio_min, radius_max, density_min,
+        length_min,
     )  # fmt: skip
 
 
@@ -77,8 +78,17 @@ def cut_and_sort(
     """Cut the points ``(N, 3)`` of each line at gaps, and keep the pieces within the bounds of `detect_segments`.
 
     Pieces with fewer than ``min_points`` points are dropped first. Collinear pieces within ``merge_distance``, metres,
-    are merged before the bounds are applied; 0 turns merging off.
+    are merged before the bounds are applied; 0 turns merging off. Raises `InputError`.
     """
+    points, lines = checked_points(points), checked_kind(lines, "lines", Lines, "detect_lines")
+    check_length(lines.label, "lines.label", len(points), "one a point")
+    checked_number(gap_max, "gap_max", above=0, infinite=True)
+    checked_integer(min_points, "min_points", 0)
+    checked_number(pca_ratio_min, "pca_ratio_min", 0, 1)
+    checked_number(radius_max, "radius_max", above=0, infinite=True)
+    checked_number(density_min, "density_min", 0)
+    checked_number(length_min, "length_min", 0)
+    checked_number(merge_distance, "merge_distance", 0)
     order = np.argsort(lines.label, kind="stable")
     begin = np.searchsorted(lines.label[order], np.arange(len(lines) + 1))
     px, py, pz = np.ascontiguousarray(points.T)

@@ -53,6 +53,11 @@ class ExperimentSettings(Settings):
             raise ValueError(
                 f"tof.start_s = {self.tof.start_s:g}: expected less than the flight's {self.flight.duration_s:g} s"
             )
+        second_s = self.tof.start_s + 1 / self.tof.rate_hz
+        if not self.tof.samples and not second_s <= self.flight.duration_s:
+            raise ValueError(
+                f"flight.duration_s = {self.flight.duration_s:g}: expected two scans, so at least {second_s:.4g} s"
+            )
         return self
 
     def _has_samples_of(self, plot: str) -> None:

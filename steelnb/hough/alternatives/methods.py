@@ -3,11 +3,13 @@
 Open3D and scikit-learn are imported by the methods that use them, since the imports take seconds.
 """
 
+import inspect
 from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
 
+from steelnb.core.checks import check_sequence, checked_choice, checked_integer, checked_number
 from steelnb.core.errors import InputError
 from steelnb.core.kernels import njit
 from steelnb.core.lazy_open3d import import_open3d
@@ -44,12 +46,20 @@ def find_bars_by(
 
     Raises `InputError` as `steelnb.hough.detect_lines`.
     """
+    checked_choice(method, "method", FINDERS)
     points, _, _ = distinct_points(points)
-    dx = default_dx(points) if dx is None else dx
-    if not 0 < dx < np.inf:
-        raise InputError(f"dx = {dx}: expected a positive length in metres")
-    if points_min < 2:
-        raise InputError(f"points_min = {points_min}: expected at least 2")
+    dx = default_dx(points) if dx is None else checked_number(dx, "dx", above=0)
+    seed, points_min = checked_integer(seed, "seed", 0), checked_integer(points_min, "points_min", 2)
+    own = list(inspect.signature(FINDERS[method]).parameters)[4:]
+    for name, value in options.items():
+        checked_choice(name, f"option of {method}", own)
+        if name == "components":
+            check_sequence(value, name, "integers")
+            options[name] = tuple(checked_integer(each, f"{name}[{k}]", 1) for k, each in enumerate(value))
+            if not value:
+                raise InputError(f"{name} = {value!r}: expected at least one number")
+        else:
+            options[name] = checked_integer(value, name, 1)
     return refine(points, FINDERS[method](points, seed, dx, points_min, **options), dx, points_min)
 
 

@@ -1,0 +1,123 @@
+"""Public functions refuse wrong arguments in one line that names the argument, its value and what is expected."""
+
+import numpy as np
+import pytest
+
+from steelnb import experiment, fusion, hough, metrics, odometry, planning, points, registration, settings
+from steelnb.core.errors import InputError
+from steelnb.core.estimates import OdometryStep
+from steelnb.core.types import Flight, Scan, Segments, Trajectory
+from steelnb.hough.alternatives.methods import find_bars_by
+
+CLOUD = np.random.default_rng(0).uniform(-1, 1, (60, 3))
+POSES = np.tile(np.eye(4), (3, 1, 1))
+SCANS = [Scan(float(k), CLOUD) for k in range(3)]
+FLIGHT = Flight(SCANS, Trajectory(np.arange(3.0), POSES), np.eye(4))
+PLANNED = settings.FlightSettings.preset("planned")
+NAN = float("nan")
+TAKE_A_CLOUD = {
+    "insert": lambda cloud: points.VoxelMap(0.1).insert(cloud),
+    "voxel_grid": lambda cloud: points.voxel_grid(cloud, 0.1),
+    "see": lambda cloud: planning.Planner(PLANNED, 1.0, 4.0).see(cloud, np.eye(4), Segments.empty()),
+    "register": lambda cloud: registration.register(cloud, CLOUD),
+    "detect_lines": hough.detect_lines,
+    "detect_segments": hough.detect_segments,
+    "find_bars_by": lambda cloud: find_bars_by("hough", cloud),
+    "bend": lambda cloud: metrics.bend(cloud, cloud),
+}
+
+
+@pytest.mark.parametrize("take", TAKE_A_CLOUD)
+@pytest.mark.parametrize(
+    "cloud",
+    [np.ones((60, 4)), CLOUD.T, CLOUD.ravel(), CLOUD.astype(object), CLOUD.astype(str), None, "cloud", 3.0,
+     np.ma.masked_array(CLOUD, np.ones((60, 3), bool))],
+    ids=["(N, 4)", "(3, N)", "flat", "object", "text", "None", "name", "number", "masked"],
+)  # fmt: skip
+def test_clouds_of_another_kind(take, cloud):
+    with pytest.raises(InputError) as refusal:
+        TAKE_A_CLOUD[take](cloud)
+    assert "\n" not in str(refusal.value)
+
+
+@pytest.mark.parametrize(
+    ("call", "says"),
+    [
+        *[(lambda name=name, value=value: hough.detect_segments(CLOUD, 0.1, **{name: value}), f"{name} = {value}")
+          for name, value in (("pca_ratio_min", 2), ("pca_ratio_min", NAN), ("gap_max", -1), ("gap_max", NAN),
+                              ("radius_max", 0), ("radius_max", NAN), ("density_min", -1), ("length_min", NAN),
+                              ("min_votes", 2.5), ("min_votes", True), ("max_lines", 0), ("granularity", 7))],
+        (lambda: hough.detect_lines(CLOUD, "0.1"), "dx = '0.1'"),
+        (lambda: find_bars_by("houg", CLOUD), "method = 'houg': expected one of .*did you mean 'hough'"),
+        (lambda: find_bars_by("hough", CLOUD, seed=-1), "seed = -1: expected an integer of at least 0"),
+        (lambda: find_bars_by("gmm", CLOUD, components=[]), "components = .*at least one"),
+        (lambda: find_bars_by("gmm", CLOUD, components=[0]), r"components\[0\] = 0"),
+        (lambda: find_bars_by("gmm", CLOUD, component=[3]), "option of gmm = 'component'.*did you mean"),
+        (lambda: find_bars_by("ransac-lines", CLOUD, trials=NAN), "trials = nan"),
+        (lambda: registration.register(CLOUD, CLOUD, None), "method = None: expected one of 'icp'"),
+        (lambda: registration.register(CLOUD, "icp"), "target: str"),
+        (lambda: registration.register(CLOUD, CLOUD, iterations_max=2.0), "iterations_max = 2.0"),
+        (lambda: registration.register(CLOUD, CLOUD, max_correspondence_m="1"), "max_correspondence_m = '1'"),
+        (lambda: points.VoxelMap("0.1"), "voxel_m = '0.1'"),
+        (lambda: points.smooth_ranges(CLOUD, -1), "radius_px = -1"),
+        (lambda: points.preprocess_scan(CLOUD, POSES[0], POSES[0], None), "scan = ndarray: expected Scan"),
+        (lambda: experiment.run("flight"), "settings = 'flight': expected ExperimentSettings, as from"),
+        (lambda: odometry.run("best", FLIGHT), "flight = 'best': expected Flight"),
+        (lambda: odometry.run(FLIGHT, "best"), "odometry = 'best': expected an object with a method update"),
+        (lambda: odometry.correct(FLIGHT, "best"), "settings = 'best': expected OdometrySettings, as from"),
+        (lambda: odometry.make_odometry("best", np.eye(4)), "settings = 'best'"),
+        (lambda: odometry.CloudOdometry("best"), "settings = 'best'"),
+        (lambda: fusion.SegmentMap("near"), "settings = 'near'"),
+        (lambda: fusion.SegmentMap().insert(CLOUD), "new = ndarray: expected Segments"),
+        (lambda: fusion.smooth("flight", None), "flight = 'flight'"),
+        (lambda: fusion.smooth(FLIGHT, None), "estimate = None: expected Estimate"),
+        (lambda: fusion.reconstruct(SCANS, POSES[:2]), r"T_world_drone: .*expected \(3, 4, 4\)"),
+        (lambda: fusion.reconstruct(SCANS, 2 * POSES), r"T_world_drone\[0\]: last row"),
+        (lambda: fusion.reconstruct(SCANS, POSES, "mount"), "T_drone_sensor: str"),
+        (lambda: fusion.reconstruct(iter(SCANS), POSES), "scans: list_iterator"),
+        (lambda: metrics.score_trajectory(CLOUD, FLIGHT.prior), "estimate = ndarray: expected Trajectory"),
+        (lambda: metrics.largest_slip(np.zeros(1), 5), "1 scans; expected at least two"),
+        (lambda: settings.ExperimentSettings.preset(duration_s=1e-9), "duration_s = 1e-09: expected two scans"),
+        (lambda: settings.ExperimentSettings.preset(seed=-1), "seed = -1"),
+        (lambda: settings.ExperimentSettings.preset(seed=np.float64(1.5)), "seed = 1.5"),
+    ],
+)  # fmt: skip
+def test_values_that_are_out_of_range_or_of_another_kind(call, says):
+    with pytest.raises(InputError, match=says) as refusal:
+        call()
+    assert "\n" not in str(refusal.value)
+
+
+def test_numbers_of_numpy_are_numbers():
+    made = settings.ExperimentSettings.preset(
+        seed=np.int64(3), duration_s=np.float32(9), overrides={"tof.rate_hz": np.int32(4), "tof.columns": np.uint8(8)}
+    )
+    assert made == settings.ExperimentSettings.preset(
+        seed=3, duration_s=9.0, overrides={"tof.rate_hz": 4, "tof.columns": 8}
+    )
+    line = np.linspace([0, 0, 0], [0, 0, 2], 80)
+    assert len(hough.detect_segments(line, np.float32(0.1), np.int64(20), np.int32(5), np.uint8(3))) == 1
+
+
+class Own:
+    def __init__(self, give):
+        self.give = give
+
+    def update(self, scan, T_world_drone_prior):
+        return self.give(scan) if scan.stamp_s == 1 else OdometryStep(scan.stamp_s, T_world_drone_prior)
+
+
+def later_changed(scan):
+    step = OdometryStep(scan.stamp_s, np.eye(4))
+    step.T_world_drone[0, 0] = np.nan
+    return step
+
+
+@pytest.mark.parametrize(
+    "give",
+    [lambda scan: OdometryStep(scan.stamp_s, np.full((4, 4), NAN)), lambda scan: OdometryStep(1.0, np.eye(4)[:3]),
+     lambda scan: np.eye(4), lambda scan: None, later_changed],
+)  # fmt: skip
+def test_a_bad_step_names_the_class_of_the_odometry_and_the_scan(give):
+    with pytest.raises(InputError, match=r"^Own\.update, scan 1: "):
+        odometry.run(FLIGHT, Own(give))
