@@ -5,6 +5,7 @@ from typing import Annotated, Any, Self
 from pydantic import model_validator
 
 from steelnb.core import rng
+from steelnb.core.checks import checked_kind
 from steelnb.settings.base import OrNone, SeedOrReport, Settings
 from steelnb.settings.flight import FlightSettings, TrajectoryName
 from steelnb.settings.noise import Noise
@@ -91,7 +92,7 @@ class ExperimentSettings(Settings):
             imu=ImuSettings.preset(sensor),
             odometry=odometry,
         )
-        return settings.override(overrides or {})
+        return settings.override({} if overrides is None else overrides)
 
     @classmethod
     def report(
@@ -125,7 +126,7 @@ class ExperimentSettings(Settings):
             settings = settings.override({"flight.still_s": plot.still_s})
         if isinstance(settings.odometry, ReportCloudSettings):
             settings = settings.override({"broken_off_s": plot.broken_off_s})
-        return settings.override(overrides or {})
+        return settings.override({} if overrides is None else overrides)
 
     def override(self, overrides: dict[str, Any]) -> Self:
         """A copy with single settings changed, each named ``table.setting``. Raises `InputError`.
@@ -133,6 +134,7 @@ class ExperimentSettings(Settings):
         The tables of the world are ``tower``, ``flight``, ``tof`` and ``imu``. All other names belong to the odometry.
         """
         own = type(self).model_fields
+        checked_kind(overrides, "overrides", dict)
         return super().override(
             {path if path.partition(".")[0] in own else f"odometry.{path}": value for path, value in overrides.items()}
         )
