@@ -57,6 +57,7 @@ def detect_segments(
 
 def detect_segments_with(points: Array, settings: HoughSettings) -> Segments:
     """`detect_segments` with an experiment's settings."""
+    checked_kind(settings, "settings", HoughSettings)
     return detect_segments(
         points, settings.dx_m, settings.min_votes, settings.max_lines, settings.granularity, settings.gap_max_m,
         settings.pca_ratio_min, settings.dx_m, settings.density_min_per_m, settings.length_min_m,

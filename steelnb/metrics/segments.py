@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from steelnb.core.checks import checked_array, checked_kind
 from steelnb.core.types import Array, IntArray, Segments
 from steelnb.simulation.truth import SCAN_RETURNS_MIN, SliceCounter, Visibility
 
@@ -107,6 +108,8 @@ def score_segments(
     ``observed (M,)``: members that count for recall (`Visibility.observed`), default all. ``seen (M, 200)``: observed
     parts of each member, from its first end to its second, which must be covered, default all.
     """
+    checked_kind(segments, "segments", Segments)
+    axes = checked_array(axes, "axes", ("M", 2, 3))
     match = match_members(segments, axes, angle_max_rad)
     right, length = match.right, np.linalg.norm(axes[:, 1] - axes[:, 0], axis=1)
     covered, grid, duplicates = np.zeros((len(axes), PARTS), dtype=bool), (np.arange(PARTS) + 0.5) / PARTS, 0

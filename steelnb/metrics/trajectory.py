@@ -20,6 +20,8 @@ is longer. Pairs across a gap are left out."""
 
 def position_error_m(estimate: Trajectory, truth: Trajectory) -> Array:
     """Distance ``(N,)`` between estimated and true position at the stamps of the estimate."""
+    for name, path in (("estimate", estimate), ("truth", truth)):
+        checked_kind(path, name, Trajectory)
     return np.asarray(np.linalg.norm(estimate.position - truth.at(estimate.stamp_s).position, axis=1))
 
 
@@ -33,11 +35,9 @@ def score_trajectory(estimate: Trajectory, truth: Trajectory) -> dict[str, float
     Source: Sturm et al., "A benchmark for the evaluation of RGB-D SLAM systems", IROS 2012, whose tool
     ``evaluate_rpe.py`` also pairs by time. evo pairs by a number of poses; on regular sampling both are the same.
     """
-    for name, path in (("estimate", estimate), ("truth", truth)):
-        checked_kind(path, name, Trajectory)
+    error = position_error_m(estimate, truth)
     if len(estimate) < 2:
         raise InputError(f"estimate: {len(estimate)} poses; expected at least two to score")
-    error = position_error_m(estimate, truth)
     ate_m = np.sqrt((error**2).mean())
     result = dict(ate_rmse_m=ate_m, error_mean_m=error.mean(), error_max_m=error.max(), error_final_m=error[-1])
     first, second, scale = pairs_in_time(estimate.stamp_s)

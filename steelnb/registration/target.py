@@ -7,7 +7,7 @@ from typing import Protocol
 
 import numpy as np
 
-from steelnb.core.checks import checked_cloud
+from steelnb.core.checks import checked_choice, checked_cloud
 from steelnb.core.errors import InputError
 from steelnb.core.kernels import njit
 from steelnb.core.types import Array, IntArray
@@ -80,6 +80,7 @@ def make_target(points: Array, error: str) -> Target:
     ``error`` is ``point``, ``plane`` or ``gicp``. Normals and covariances are estimated from the nearest neighbours.
     Raises `InputError`.
     """
+    checked_choice(error, "error", ("point", "plane", "gicp"))
     tree = build_kdtree(finite(points, "target"))
     if error == "gicp":
         return Target.with_planes(tree)

@@ -9,7 +9,7 @@ import numpy as np
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 
 from steelnb.core import rng
-from steelnb.core.checks import guess
+from steelnb.core.checks import checked_kind, guess
 from steelnb.core.errors import InputError
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
@@ -52,6 +52,7 @@ class Settings(BaseModel):
         """A copy with single settings changed together, each named ``setting`` or ``table.setting``. A whole table,
         such
         as ``imu``, may be given as a dict, or as None if it is optional. Raises `InputError`."""
+        checked_kind(overrides, "overrides", dict)
         changes: dict[str, Any] = {}
         inner: dict[str, dict[str, Any]] = {}
         for path, value in overrides.items():

@@ -5,6 +5,7 @@ from typing import Annotated, Any, Self
 from pydantic import model_validator
 
 from steelnb.core import rng
+from steelnb.core.checks import checked_kind
 from steelnb.settings.base import OrNone, SeedOrReport, Settings
 from steelnb.settings.flight import FlightSettings, TrajectoryName
 from steelnb.settings.noise import Noise
@@ -108,7 +109,7 @@ class ExperimentSettings(Settings):
             imu=ImuSettings.preset(sensor),
             odometry=odometry,
         )
-        return settings.override(overrides or {})
+        return settings.override({} if overrides is None else overrides)
 
     @classmethod
     def report(
@@ -143,7 +144,7 @@ class ExperimentSettings(Settings):
             settings = settings.override({"flight.still_s": plot.still_s})
         if isinstance(settings.odometry, ReportCloudSettings):
             settings = settings.override({"broken_off_s": plot.broken_off_s})
-        return settings.override(overrides or {})
+        return settings.override({} if overrides is None else overrides)
 
     def override(self, overrides: dict[str, Any]) -> Self:
         """A copy with single settings changed, each named ``table.setting``. Raises `InputError`.
@@ -152,6 +153,7 @@ class ExperimentSettings(Settings):
         ``tower`` may be the name of a preset.
         """
         own = type(self).model_fields
+        checked_kind(overrides, "overrides", dict)
         if isinstance(overrides.get("tower"), str):
             overrides = {**overrides, "tower": TowerSettings.preset(overrides["tower"])}
         return super().override(

@@ -62,7 +62,7 @@ class OdometrySettings(Settings):
         values["preprocess"] = crop | values.get("preprocess", {})
         if kind in (FaceSettings, OrbSettings):
             values["inertial"] = of_sensor.get("imu")
-        return kind(**values).override(overrides or {})
+        return kind(**values).override({} if overrides is None else overrides)
 
 
 class SegmentSettings(OdometrySettings):

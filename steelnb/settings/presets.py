@@ -40,7 +40,7 @@ def sensor_preset(sensor: str) -> dict[str, Any]:
     names. Raises `InputError`."""
     if isinstance(sensor, str) and sensor.endswith(".toml"):
         own = as_tuples(read_toml(Path(sensor), "a sensor's preset"))
-    elif sensor in SENSORS:
+    elif isinstance(sensor, str) and sensor in SENSORS:
         own = dict(_preset(f"sensors/{sensor}"))
     else:
         near = guess(sensor, SENSORS)
@@ -56,7 +56,7 @@ def sensor_preset(sensor: str) -> dict[str, Any]:
 def preset_table(file: str, kind: str, name: str) -> dict[str, Any]:
     """The settings of a named preset that differ from the defaults. ``file``: ``flights``, ``towers`` or ``methods``;
     ``kind``: what messages call the name. Raises `InputError`."""
-    if name not in _preset(file):
+    if not isinstance(name, str) or name not in _preset(file):
         known = _preset(file)
         raise InputError(f"{kind} = {name!r}{guess(name, known)}; expected one of {quoted(known)}")
     return _preset(file)[name]
