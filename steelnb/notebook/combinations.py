@@ -33,10 +33,10 @@ def check_names(parameter: str, names: Iterable[str], known: Collection[str]) ->
 
 def check_combinations(values: Values) -> None:
     """Raise `InputError` for the first parameter that the others contradict, or that names nothing."""
-    _check_presets(values)
     for name in values:
         if name in CHECKS:
             CHECKS[name](values)
+    _check_presets(values)
 
 
 def _all(value: Any) -> list[Any]:
