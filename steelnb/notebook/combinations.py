@@ -15,6 +15,7 @@ from steelnb.core.errors import InputError
 from steelnb.notebook.cases import report_cases, with_earlier_runs
 from steelnb.notebook.results import RUNS, find_root
 from steelnb.settings import METHODS, TOWERS, ExperimentSettings
+from steelnb.settings.experiment import SCANS_MIN
 from steelnb.settings.noise import at_level
 
 PRESET_ARGUMENTS = "trajectory", "noise", "method", "sensor", "seed", "duration_s", "overrides", "tower"
@@ -32,10 +33,10 @@ def check_names(parameter: str, names: Iterable[str], known: Collection[str]) ->
 
 def check_combinations(values: Values) -> None:
     """Raise `InputError` for the first parameter that the others contradict, or that names nothing."""
-    _check_presets(values)
     for name in values:
         if name in CHECKS:
             CHECKS[name](values)
+    _check_presets(values)
 
 
 def _all(value: Any) -> list[Any]:
@@ -49,7 +50,13 @@ def _check_presets(values: Values) -> None:
         given = dict(zip(names, combination, strict=True))
         if "level" in values:
             given["noise"] = at_level(given["noise"], values["level"])
-        ExperimentSettings.preset(**given)
+        settings = ExperimentSettings.preset(**given)
+        scanned_s, rate_hz = settings.flight.duration_s - settings.tof.start_s, settings.tof.rate_hz
+        if not settings.tof.samples and scanned_s * rate_hz <= SCANS_MIN - 1:  # the last step has no scan
+            raise InputError(
+                f"duration_s = {settings.flight.duration_s:g}: expected more than"
+                f" {settings.tof.start_s + (SCANS_MIN - 1) / rate_hz:g} s, for {SCANS_MIN} scans"
+            )
 
 
 def _check_tower(values: Values) -> None:

@@ -94,6 +94,8 @@ def test_the_report_s_experiments_have_its_samples_and_its_curves():
     assert plot_of(walk) is None, "the report shows segments with constant drift alone"
     elsewhere = ExperimentSettings.preset("vertical", "constant-drift", overrides={"tof.samples": "3.6 orbit gicp"})
     assert plot_of(elsewhere) is None, "the same samples on another flight"
+    other = report_cases(["orbit"], "constant-drift", {"gicp": ["gicp"]}, tower="heavy")[0]
+    assert plot_of(other) is None, "the same flight past another tower"
     with pytest.raises(InputError, match="'best' on the flight 'orbit'"):
         report_cases(["orbit"], "random-walk", {"best": ["best"]})
     early, late = (plot for plot in read_report_plots() if plot.name.startswith("3.5 vertical icp-3dof"))

@@ -273,3 +273,13 @@ def test_methods_by_front_faces_use_the_imu_beside_a_sensor():
     ):
         with pytest.raises(InputError, match=says):
             OdometrySettings.preset(method, overrides={"inertial": inertial})
+
+
+def test_a_tower_is_named_by_an_argument_or_an_override() -> None:
+    heavy = TowerSettings.preset("heavy")
+    assert ExperimentSettings.preset("loops", tower="heavy").tower == heavy
+    both = ExperimentSettings.preset("loops", overrides={"tower.section": "round", "tower": "heavy"})
+    assert both.tower == heavy.replace(section="round")
+    for given in ({"tower": "hevy"}, {"overrides": {"tower": "hevy"}}):
+        with pytest.raises(InputError, match="tower = 'hevy', did you mean 'heavy'"):
+            ExperimentSettings.preset("loops", **given)
