@@ -29,8 +29,8 @@ def score_trajectory(estimate: Trajectory, truth: Trajectory) -> dict[str, float
     translation over `RPE_S`, all pairs; without a pair, it is left out. Raises ValueError if the truth has no pose at a
     stamp of the estimate, and `InputError` for fewer than two poses.
 
-    Source: Sturm et al., "A benchmark for the evaluation of RGB-D SLAM systems", IROS 2012. As in evo, a pair is a fixed
-    number of poses apart.
+    Source: Sturm et al., "A benchmark for the evaluation of RGB-D SLAM systems", IROS 2012. As in evo, a pair is a
+    fixed number of poses apart.
     """
     error = position_error_m(estimate, truth)
     if len(estimate) < 2:
