@@ -17,7 +17,7 @@ from steelnb.notebook.tables import case_of
 from steelnb.plots import COLOURS, LABELS
 from steelnb.plots.flight import figure_flight
 from steelnb.plots.scene3d import HEIGHT_PX, figure_scene, plotly_bundle
-from steelnb.settings import METHODS, SENSORS, TOWERS, TRAJECTORIES, ExperimentSettings
+from steelnb.settings import METHODS, SENSORS, TRAJECTORIES, ExperimentSettings
 from steelnb.settings.noise import at_level
 
 if TYPE_CHECKING:
@@ -50,7 +50,7 @@ class Panel:
     """Controls above a scene. Every change of a control runs the flight again and redraws the scene in place."""
 
     def __init__(self, duration_s: float, overrides: Mapping[str, Any], **first: Any) -> None:
-        """``first``: trajectory, tower, noise, level (times the noise), sensor, method and seed of the first flight.
+        """``first``: trajectory, noise, level (times the noise), sensor, method and seed of the first flight.
         Raises `InputError` for a value that cannot be chosen."""
         import ipywidgets as widgets
 
@@ -58,12 +58,11 @@ class Panel:
         self.settings(**first)
         choices = {
             "trajectory": TRAJECTORIES,
-            "tower": [("the flight's own", None), *((name, name) for name in TOWERS)],
             "sensor": tuple(dict.fromkeys((*SENSORS, first["sensor"]))),
             "method": [(LABELS.get(name, name), name) for name in METHODS],
             "noise": tuple(dict.fromkeys((*NOISES, first["noise"]))),
         }
-        self.controls = {name: widgets.Dropdown(options=each, value=first.get(name)) for name, each in choices.items()}
+        self.controls = {name: widgets.Dropdown(options=each, value=first[name]) for name, each in choices.items()}
         for name, kind, most in (("level", widgets.FloatSlider, 5.0), ("seed", widgets.IntSlider, 50)):
             self.controls[name] = kind(first[name], min=0, max=max(most, first[name]), continuous_update=False)
         self.controls["level"].step = 0.25

@@ -82,7 +82,7 @@ def test_every_parameter_of_every_notebook_refuses_what_it_cannot_be(path: Path)
     ("notebook", "given", "words"),
     [
         ("00", {"seed": "report"}, ["seed = 'report'", "number"]),
-        ("00", {"trajectory": "loops", "tower": "heavi"}, ["tower = 'heavi', did you mean 'heavy'"]),
+        ("04", {"tower": "heavi"}, ["tower = 'heavi', did you mean 'heavy'"]),
         ("00", {"duration_s": 0.4}, ["duration_s = 0.4", "more than 0.4 s, for 2 scans"]),
         ("01", {"seeds": 0}, ["seeds = 0", "greater than 0"]),
         ("01", {"tower": "light", "overrides": {"tower": "heavy"}}, ["'light'", "'heavy'", "expected one tower"]),
