@@ -90,7 +90,7 @@ def test_every_parameter_of_every_notebook_refuses_what_it_cannot_be(path: Path)
         ("02", {"correction": ["none"]}, ["correction = 'none'", "'average'"]),
         ("02", {"draws": 1}, ["draws = 1"]),
         ("02", {"trajectory": "zigzag"}, ["'zigzag'", "'average' on 'orbit'"]),
-        ("02", {"duration_s": 1e-3}, ["duration_s = 0.001", "leave 0 scans", "begins at"]),
+        ("02", {"duration_s": 1e-3}, ["duration_s = 0.001", "expected two scans"]),
         ("03", {"drawn": ["smoothed"]}, ["drawn = 'smoothed'", "'report-gicp'"]),
         ("03", {"duration_s": 3.0}, ["duration_s = 3 ", "begins at 3.872 s"]),
         ("03", {"overrides": {"tof.start_s": 540.0}}, ["start_s = 540", "expected"]),
