@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from joblib import Parallel, delayed
 
-from steelnb.core.kernels import compiling
+from steelnb.core.kernels import COMPILING, compiling
 from steelnb.fusion.whole_cloud import bars_of_cloud
 from steelnb.hough.alternatives.methods import find_bars_by
 from workflow.digests import SHORT, digests
@@ -16,9 +16,9 @@ FLIGHTS = (("starling2", "loops"), ("starling2-honest", "zigzag"), ("report", "o
 
 
 def compile_kernels(root: Path) -> None:
-    """Call everything on short flights, which compiles what is missing. Prints one line."""
+    """Fly and search with every method, which compiles what is missing, and print how many kernels that were."""
     began = time.monotonic()
-    print("compiling kernels, once, about two minutes", file=sys.stderr, flush=True)
+    print(COMPILING, file=sys.stderr, flush=True)
     jobs = [*(delayed(_fly)(*flight) for flight in FLIGHTS), delayed(_search)()]
     counts = Parallel(n_jobs=2, batch_size=1)(jobs)
     size = sum(file.stat().st_size for file in (root / "steelnb").rglob("__pycache__/*.nb?"))

@@ -31,7 +31,7 @@ def shift_of(position: Array) -> Array:
 
 
 def transform_points(T_target_source: Array, points: Array) -> Array:
-    """Points ``(N, 3)`` of the source frame, in the target frame."""
+    """Points ``(..., 3)`` of the source frame, in the target frame."""
     return np.asarray(points @ T_target_source[:3, :3].T + T_target_source[:3, 3])
 
 

@@ -26,6 +26,8 @@ CACHE_DIR = "NUMBA_CACHE_DIR"
 """Numba's variable for the folder of its cache."""
 QUIET_S = 2.0
 """Compiling for less than this is not mentioned."""
+COMPILING = "compiling kernels, once, about two minutes"
+"""What the user is told."""
 
 
 def njit(*, cache: bool, **options: Any) -> Callable[[Callable[..., Any]], Any]:
@@ -75,7 +77,7 @@ class _KernelCache(caching.FunctionCache):
     def save_overload(self, sig: Any, data: Any) -> None:
         try:
             super().save_overload(sig, data)
-        except Exception as fault:
+        except Exception as fault:  # of the disk, or of Numba, which cannot store some kernels
             self._give_up(fault)
 
     def _give_up(self, fault: Exception) -> None:
@@ -111,7 +113,7 @@ def _use_temporary_folder() -> None:
 
 
 class Compiling(event.Listener):  # type: ignore[misc]
-    """Counts the kernels that are compiled and the seconds that this takes, and says so once to a person."""
+    """Counts compiled kernels and the seconds they take, and tells the user once why nothing happens."""
 
     def __init__(self) -> None:
         self.count, self.seconds = 0, 0.0
@@ -122,7 +124,7 @@ class Compiling(event.Listener):  # type: ignore[misc]
             self._began = time.monotonic()
             if self.seconds > QUIET_S and not self._told and ("ipykernel" in sys.modules or sys.stderr.isatty()):
                 self._told = True
-                print("steelnb: compiling kernels, once, about two minutes", file=sys.stderr, flush=True)
+                print(f"steelnb: {COMPILING}", file=sys.stderr, flush=True)
         self._depth += 1
 
     def on_end(self, event: Any) -> None:

@@ -50,10 +50,10 @@ median distances."""
 TUBES_MIN = 40
 """Minimum size of a cloud in tubes: the bars of a small model are thinner than those of a tower."""
 WIDER, WIDTH_MAX = (2, 4), 3.0
-"""Wider tubes that are tried, in default tubes, and maximum median width of the bars in a tube, in its radii. Medians
-of the towers ``tapered`` and ``slender`` are up to 2.5."""
+"""Wider tubes to try, in multiples of the default, and the maximum median width of bars that fit in a tube, in its
+radii. On the towers ``tapered`` and ``slender``, medians are up to 2.5."""
 OFF_MIN = 0.05
-"""If fewer points than this share lie on no surface, the cloud is one of surfaces."""
+"""A cloud with a smaller share of its points off all surfaces has no bars worth a search with wider tubes."""
 TURN_MAX_RAD = math.radians(20)
 
 
@@ -80,7 +80,7 @@ class CloudBars:
 
     @property
     def fit_tubes(self) -> bool:
-        """Whether there are bars, most of them so narrow that lines along their sides were not taken for them."""
+        """Whether bars were found, and most fit in the tube. In a wider bar, lines along its sides pass for bars."""
         return len(self.bars) > 0 and float(np.median(self.width_m)) <= WIDTH_MAX * self.tube_m
 
     @property
@@ -207,11 +207,11 @@ def _own_points(points: Array, bars: Segments, distance_m: float, margin_m: floa
         yield points[order[first:last]]
 
 
-def widths_of(points: Array, bars: Segments, tube_m: float = TUBE_M) -> Array:
+def widths_of(points: Array, bars: Segments) -> Array:
     """Width ``(B,)`` of each bar, metres: twice the distance from its axis within which `HALF_WIDTH_SHARE` of its
     points lie. These are the ``points (N, 3)`` that are nearest to its axis and within two tube radii of it."""
-    width_m = np.full(len(bars), 2 * tube_m)
-    for bar, own in enumerate(_own_points(points, bars, 2 * tube_m)):
+    width_m = np.full(len(bars), 2 * TUBE_M)
+    for bar, own in enumerate(_own_points(points, bars, 2 * TUBE_M)):
         if len(own):
             offset = own - bars.start[bar]
             across = offset - (offset @ bars.direction[bar])[:, None] * bars.direction[bar]
@@ -219,11 +219,11 @@ def widths_of(points: Array, bars: Segments, tube_m: float = TUBE_M) -> Array:
     return width_m
 
 
-def freedom_of(points: Array, bars: Segments, width_m: Array, tube_m: float = TUBE_M) -> Array:
+def freedom_of(points: Array, bars: Segments, width_m: Array) -> Array:
     """How free each bar stands ``(B,)``: the share of the ``points (N, 3)`` within `REACH` half-widths of its axis that
     lie within one, as the median over slices along it. Points on other bars do not count."""
-    half_m = np.maximum(0.5 * width_m, tube_m)
-    owner = nearest_bar(points, bars, float(half_m.max(initial=tube_m)), 0.0)
+    half_m = np.maximum(0.5 * width_m, TUBE_M)
+    owner = nearest_bar(points, bars, float(half_m.max(initial=TUBE_M)), 0.0)
     freedom = np.zeros(len(bars))
     for bar in range(len(bars)):
         offset = points - bars.start[bar]

@@ -16,6 +16,7 @@ from steelnb.io.clocks import rising_stamps
 from steelnb.io.containers import Container, LostIndexError
 from steelnb.io.frames import Frames, drone_axes, sensor_frames
 from steelnb.io.headers import Headers, frame_name
+from steelnb.io.opened import Opened
 from steelnb.io.scanning import Raw
 from steelnb.io.topics import PoseSource, camera_topic, pose_source, scan_topic
 from steelnb.io.trajectories import read_trajectory, trajectory_of
@@ -30,20 +31,7 @@ class Clock(NamedTuple):
     offset_s: float = 0.0
 
 
-class OpenedBag(NamedTuple):
-    """``stamp_s (N,)`` of all scans, NaN of those that are not used; ``walk`` over their decoders; poses of the drone,
-    ``T_drone_sensor (4, 4)``, what a `Flight` tells, and counts of what was skipped."""
-
-    stamp_s: Array
-    walk: Callable[[IntArray], Iterator[Callable[[], Array]]]
-    prior: Trajectory
-    T_drone_sensor: Array
-    facts: dict[str, str]
-    imu: Imu | None
-    skipped: Counter[str]
-
-
-def open_bag(path: Path, scans: str | None, poses: str | None, mount: Array | None, clock: Clock) -> OpenedBag:
+def open_bag(path: Path, scans: str | None, poses: str | None, mount: Array | None, clock: Clock) -> Opened:
     """Open a bag. ``mount``: ``T_drone_sensor`` if the user gives one. Raises `InputError`."""
     container = Container(path)
     while True:
@@ -59,7 +47,7 @@ class _Bag:
     def __init__(self, container: Container, clock: Clock) -> None:
         self.bag, self.clock, self.headers = container, clock, Headers(container, clock.by_log)
 
-    def open(self, scans: str | None, poses: str | None, mount: Array | None) -> OpenedBag:
+    def open(self, scans: str | None, poses: str | None, mount: Array | None) -> Opened:
         topic, imus = scan_topic(self.bag, scans), self.bag.of_type(ros.IMU)[:1]
         is_depth = self.bag.types[topic] == ros.IMAGE
         source = pose_source(self.bag, poses, topic)
@@ -81,7 +69,7 @@ class _Bag:
         facts |= {"notes": "; ".join(notes)} if notes else {}
         imu = self._imu(imus[0], tree, body) if imus and imus[0] in self.headers.frame_of else None
         walk = partial(self._walk, topic, camera, frames)
-        return OpenedBag(frames.stamp_s, walk, prior, frames.T_drone_sensor, facts, imu, self.headers.skipped)
+        return Opened(frames.stamp_s, walk, prior, frames.T_drone_sensor, facts, imu, self.headers.skipped)
 
     def _poses(self, source: PoseSource, tree: Tree, sensor: str) -> tuple[Trajectory, str, str, str]:
         """Poses of the drone, names of the world and of the drone's frame, and the source in words."""

@@ -105,7 +105,7 @@ def _read_npy(path: Path) -> Any:
     """Mapped, since then NumPy compares the size with the file before it allocates."""
     try:
         stored = np.load(path, mmap_mode="r", allow_pickle=False)
-    except Exception:
+    except Exception:  # NumPy evaluates the header, so that damage raises anything
         raise ValueError("damaged, truncated, or not of numbers; expected an array by numpy.save") from None
     if not isinstance(stored, np.ndarray) or (stored.dtype.names is None and stored.dtype.kind not in "fiu"):
         raise ValueError(f"{getattr(stored, 'dtype', 'an archive')}; expected numbers")

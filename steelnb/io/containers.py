@@ -142,7 +142,7 @@ class Container:
                 data = zstd.decompress(data)
             store = typestore(1 if raw.encoding == "ros1" else 2)
             return (store.deserialize_ros1 if raw.encoding == "ros1" else store.deserialize_cdr)(data, raw.kind)
-        except Exception as fault:
+        except Exception as fault:  # damaged bytes raise anything in the library
             words = " ".join(str(fault).split())[:200] or type(fault).__name__
             kind = raw.kind.rpartition("/")[2]
             raise InputError(f"{self.path}: not a bag of readable {kind} messages ({raw.topic}): {words}") from None
@@ -187,7 +187,7 @@ class Part:
                 selected = [each for each in reader.connections if each.topic in topics and _is_known(_encoding(each))]
                 for connection, log_ns, data in reader.messages(selected) if selected else ():
                     yield Raw(log_ns, connection.topic, connection.msgtype, _encoding(connection), data)
-        except Exception:
+        except Exception:  # of the library, in the middle of a damaged file
             self._is_scanned = self.path.is_file()
             if not self._is_scanned:
                 raise InputError(f"{self.path}: damaged; expected a readable ROS 2 folder") from None

@@ -5,7 +5,6 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -13,10 +12,8 @@ from steelnb.core.errors import InputError
 from steelnb.core.files import display_name
 from steelnb.core.types import Array, Trajectory
 from steelnb.io.clouds import READERS, read_points
+from steelnb.io.opened import Opened, Walk
 from steelnb.io.trajectories import SECONDS, read_trajectory, unit_of_stamps
-
-if TYPE_CHECKING:
-    from steelnb.io.recordings import Walk, _Parts
 
 TRUE = ("groundtruth.tum", "groundtruth.txt", "groundtruth.csv")
 TRAJECTORIES = (".tum", ".txt", ".csv")
@@ -32,8 +29,8 @@ FRACTIONS = {3: "ms", 6: "µs", 9: "ns"}
 NUMBER = re.compile(r"\d+(?:\.\d+)?")
 
 
-def open_clouds(path: Path, scans: str | None, poses: str | None) -> "_Parts":
-    """Open a folder of clouds with a trajectory: the parts of a `Flight` (`steelnb.io.recordings`).
+def open_clouds(path: Path, scans: str | None, poses: str | None) -> Opened:
+    """Open a folder of clouds with a trajectory.
 
     The stamps are numbers in the names, or those of the poses if there is one pose a cloud. Raises `InputError`.
     """
@@ -58,7 +55,7 @@ def open_clouds(path: Path, scans: str | None, poses: str | None) -> "_Parts":
         skipped[f"cloud beside the scans ({named})"] += len(strays)
     facts = {"scans": f"{len(files)} files, {source}", "poses": display_name(trajectory), "mount": "identity assumed"}
     walk: Walk = lambda number: (partial(read_points, files[k]) for k in number.tolist())  # noqa: E731
-    return stamp_s, walk, prior, np.eye(4), facts, None, skipped
+    return Opened(stamp_s, walk, prior, np.eye(4), facts, None, skipped)
 
 
 def named_file(path: Path, name: str) -> Path:

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from steelnb.core.errors import InputError
+from steelnb.core.geometry import transform_points
 from steelnb.core.types import Array
 from steelnb.io.transforms import Placement, Tree, is_world_name
 
@@ -37,7 +38,7 @@ class Frames(NamedTuple):
         if self.optical[number]:
             points = points @ T_OPTICAL_SENSOR[:3, :3]
         if self.moved[number]:
-            points = points @ self.T_sensor_scan[number, :3, :3].T + self.T_sensor_scan[number, :3, 3]
+            points = transform_points(self.T_sensor_scan[number], points)
         return points
 
 

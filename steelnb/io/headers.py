@@ -116,7 +116,7 @@ class Headers:
         for key in [key for key in self._table if isinstance(key, tuple)]:
             parent, child, is_static = key
             rows = self.rows(key, 7, "transform")
-            if is_static:  # has no stamp that counts, and the last is valid
+            if is_static:  # its stamp does not matter, and the last one holds
                 rows = np.array(self._table[key]).reshape(-1, 9)[-1:, [0, *range(2, 9)]]
             try:
                 tree.add(parent, child, trajectory_of(self._bag.path, rows, self.skipped), is_static)

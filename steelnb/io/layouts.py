@@ -18,7 +18,8 @@ DEPTHS = {"16UC1": "u2", "mono16": "u2", "32FC1": "f4", "64FC1": "f8"}
 PLAUSIBLE_M = 1e-4, 1e7
 """Bounds of most coordinates, UTM included. Bytes in the wrong order give any power of ten."""
 CERTAIN, DOUBTS = 0.48, 8.0
-"""Bytes are reordered if that makes values this many times less doubtful, and `CERTAIN` is the most doubt of none."""
+"""Values with at most the doubt `CERTAIN` (`_doubt`) are believed. The other byte order is taken only if the flagged
+one is more than `DOUBTS` times as doubtful."""
 ORDER = {"<": "little-endian", ">": "big-endian"}
 PADDING_MAX = 64
 """Bytes that a driver may add to a row to align the next."""

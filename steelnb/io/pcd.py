@@ -8,10 +8,9 @@ import numpy as np
 
 from steelnb.core.types import Array
 from steelnb.io.lzf import lzf_unpacked
-from steelnb.io.records import xyz_of
+from steelnb.io.records import HEADER_MAX, is_whole, xyz_of
 from steelnb.io.text import Table
 
-HEADER_MAX = 1 << 16
 LZF_RATIO_MAX = 88
 """A reference of three bytes copies at most 264 of them."""
 KINDS = {("F", 4): "<f4", ("F", 8): "<f8"} | {(t, n): f"<{t.lower()}{n}" for t in "IU" for n in (1, 2, 4, 8)}
@@ -123,6 +122,6 @@ def _header(file: bytes) -> tuple[Header, memoryview]:
 
 def _numbers(words: dict[str, list[str]], key: str, expected: int) -> list[int]:
     given = words.get(key, [])
-    if len(given) != expected or not all(word.isascii() and word.isdigit() and len(word) < 19 for word in given):
+    if len(given) != expected or not all(map(is_whole, given)):
         raise ValueError(f"{key} {' '.join(given)[:40]}; expected {expected} whole numbers")
     return [int(word) for word in given]

@@ -6,10 +6,9 @@ from pathlib import Path
 import numpy as np
 
 from steelnb.core.types import Array
-from steelnb.io.records import xyz_of
+from steelnb.io.records import HEADER_MAX, is_whole, xyz_of
 from steelnb.io.text import Table
 
-HEADER_MAX = 1 << 16
 TYPES = {
     "char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4", "float": "f4",
     "double": "f8", "int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2", "int32": "i4", "uint32": "u4",
@@ -62,7 +61,7 @@ def _elements(lines: list[list[str]]) -> list[tuple[str, int, list[list[str]]]]:
     elements: list[tuple[str, int, list[list[str]]]] = []
     for line in lines:
         if line[:1] == ["element"]:
-            if len(line) != 3 or not (line[2].isascii() and line[2].isdigit() and len(line[2]) < 19):
+            if len(line) != 3 or not is_whole(line[2]):
                 raise ValueError(f"{' '.join(line)[:60]!r} in its header; expected a name and a number")
             elements.append((line[1], int(line[2]), []))
         elif line[:1] == ["property"]:

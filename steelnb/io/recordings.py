@@ -1,6 +1,5 @@
 """Reader of recorded flights: bags, and folders of clouds with a trajectory. The truth is read separately."""
 
-from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
@@ -8,12 +7,13 @@ import numpy as np
 
 from steelnb.core.errors import InputError
 from steelnb.core.files import display_name
-from steelnb.core.types import Array, Flight, Imu, IntArray, Scan, Trajectory
+from steelnb.core.types import Array, Flight, IntArray, Scan, Trajectory
 from steelnb.io.bags import Clock, open_bag
 from steelnb.io.clocks import rising_stamps
 from steelnb.io.clouds import READERS
 from steelnb.io.containers import bags_in, is_bag
 from steelnb.io.folders import TRUE, named_file, open_clouds
+from steelnb.io.opened import Walk
 from steelnb.io.trajectories import interpolate, read_trajectory
 
 CLOCKS = ("stamps", "bag")
@@ -22,8 +22,6 @@ RISING_MIN = 0.5
 FAR_M = 1e6
 """No sensor sees farther. A few such points are no returns; if most are so, the scan is not in metres."""
 _REMEDY = "expected one clock (--time-offset SECONDS shifts scans, --clock bag takes the times of recording)"
-Walk = Callable[[IntArray], Iterator[Callable[[], Array]]]
-"""Iterator over the decoders of the scans with these increasing numbers."""
 
 
 def read_flight(
@@ -60,7 +58,6 @@ def read_flight(
         raise InputError(f"{path}: ending {path.suffix!r}; expected .bag, .mcap, .db3 or a folder{remedy}")
     if clock not in CLOCKS or not np.isfinite(time_offset_s):
         raise InputError(f"clock {clock!r} with {time_offset_s} s; expected {' or '.join(CLOCKS)}, and finite seconds")
-    opened: _Parts
     if is_bag(path):
         opened = open_bag(path, scans, poses, T_drone_sensor, Clock(clock == "bag", time_offset_s))
     else:
@@ -71,7 +68,7 @@ def read_flight(
         if bags := bags_in(path):
             raise InputError(f"{path}: bags in it: {', '.join(bags)}; expected one of them")
         opened = open_clouds(path, scans, poses)
-        opened = opened[0] + time_offset_s, *opened[1:]
+        opened = opened._replace(stamp_s=opened.stamp_s + time_offset_s)
     stamp_s, walk, prior, mount, facts, imu, skipped = opened
     if T_drone_sensor is not None:
         mount, facts["mount"] = T_drone_sensor, "as given"
@@ -160,7 +157,3 @@ def _scan(stamp_s: float, decode: Callable[[], Array]) -> Scan:
     if not np.isfinite(points).any():
         return Scan(stamp_s, np.zeros((0, 3)), "no finite point")
     return Scan(stamp_s, points)
-
-
-_Parts = tuple[Array, Walk, Trajectory, Array, dict[str, str], Imu | None, Counter[str]]
-"""Stamps of all scans, the scans, poses of the drone, mount, facts, IMU, and counts of what was skipped."""

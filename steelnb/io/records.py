@@ -6,6 +6,14 @@ import numpy as np
 
 from steelnb.core.types import Array
 
+HEADER_MAX = 1 << 16
+"""No text header is longer."""
+
+
+def is_whole(word: str) -> bool:
+    """Whether a word of a header is a whole number, of at most 18 digits."""
+    return word.isascii() and word.isdigit() and len(word) < 19
+
 
 def xyz_of(data: bytes | memoryview, count: int, stride: int, fields: Sequence[tuple[str, int]]) -> Array:
     """Points ``(count, 3)`` of records of ``stride`` bytes at the start of ``data``.

@@ -29,7 +29,7 @@ class Raw(NamedTuple):
 def scan(path: Path, on_damage: OnDamage) -> Iterator[Raw]:
     """Messages of a file in the order of its records. ``on_damage`` is told what cannot be read.
 
-    Nothing comes from a file of another format.
+    It yields nothing for a file of another format.
     """
     with path.open("rb") as file:
         begin = file.read(16)

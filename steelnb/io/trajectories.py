@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from steelnb.core.checks import SAME_S
 from steelnb.core.errors import InputError
 from steelnb.core.files import reading
 from steelnb.core.types import Array, Trajectory
@@ -178,8 +179,8 @@ def interpolate(trajectory: Trajectory, stamp_s: Array) -> tuple[Array, NDArray[
     recorded_s = trajectory.stamp_s
     gap_max_s = np.clip(2 * np.median(np.diff(recorded_s)), *GAP_MAX_S) if len(recorded_s) > 1 else GAP_MAX_S[0]
     # Stamps converted to text or integers may differ by rounding.
-    after = np.clip(np.searchsorted(recorded_s, stamp_s - 1e-6), 0, len(recorded_s) - 1)
-    exact = np.abs(recorded_s[after] - stamp_s) < 1e-6
+    after = np.clip(np.searchsorted(recorded_s, stamp_s - SAME_S), 0, len(recorded_s) - 1)
+    exact = np.abs(recorded_s[after] - stamp_s) < SAME_S
     before = np.where(exact, after, np.maximum(after - 1, 0))
     covered = exact | (
         (recorded_s[before] <= stamp_s)

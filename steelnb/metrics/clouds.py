@@ -97,6 +97,6 @@ def paired_clouds(
     scans = [preprocess_scan(flight.scans[k], true[k], T_drone_sensor, preprocess) for k in shown]
 
     def placed(T: Array) -> Array:
-        return np.concatenate([points @ T[k, :3, :3].T + T[k, :3, 3] for k, points in zip(shown, scans, strict=True)])
+        return np.concatenate([transform_points(T[k], points) for k, points in zip(shown, scans, strict=True)])
 
     return placed(estimated), placed(true)

@@ -4,7 +4,6 @@ Every check is bound to the name of a parameter and sees the values of all. Libr
 imported by the checks that need them, so that a refusal takes no longer than the start of a kernel.
 """
 
-import inspect
 import itertools
 from collections.abc import Callable, Collection, Iterable, Mapping
 from pathlib import Path
@@ -98,7 +97,7 @@ def _check_methods(values: Values) -> None:
 
 
 def _check_finders(values: Values) -> None:
-    from steelnb.hough.alternatives.methods import FINDERS
+    from steelnb.hough.alternatives.methods import FINDERS, LISTS, OPTIONS
 
     check_names("methods", values["methods"], FINDERS)
     check_names("slow", values["slow"], FINDERS)
@@ -106,14 +105,12 @@ def _check_finders(values: Values) -> None:
     for method, options in values["options"].items():
         if not isinstance(options, dict):
             raise InputError(f"options.{method} = {options!r}: expected a table of options")
-        own = list(inspect.signature(FINDERS[method]).parameters.values())[4:]  # after those that all have
-        check_names(f"options.{method}", options, [parameter.name for parameter in own])
-        for parameter in own:
-            value = options.get(parameter.name, parameter.default)
-            many = isinstance(parameter.default, tuple)
+        check_names(f"options.{method}", options, OPTIONS.get(method, ()))
+        for name, value in options.items():
+            many = name in LISTS
             if isinstance(value, list | tuple) != many or not value or not all(_is_count(each) for each in _all(value)):
                 kind = "a list of whole numbers above 0" if many else "a whole number above 0"
-                raise InputError(f"options.{method}.{parameter.name} = {value!r}: expected {kind}")
+                raise InputError(f"options.{method}.{name} = {value!r}: expected {kind}")
 
 
 def _is_count(value: Any) -> bool:

@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 
 from steelnb import experiment
+from steelnb.core.geometry import transform_points
 from steelnb.core.rng import stream
 from steelnb.core.types import Array, Segments
 from steelnb.fusion.structure import Structure
@@ -73,7 +74,7 @@ def merged_cloud(tower: str, seed: int, duration_s: float, sensor: str = "starli
     for k, scan in enumerate(flight.scans):
         points = preprocess_scan(scan, T[k], flight.T_drone_sensor, settings.odometry.preprocess)
         some = points[random.random(len(points)) < 1 / SHARE]
-        placed.append(some @ T[k, :3, :3].T + T[k, :3, 3])
+        placed.append(transform_points(T[k], some))
     return random.permutation(np.concatenate(placed)), reference(truth.tower, truth.visibility).joined()
 
 

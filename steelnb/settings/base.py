@@ -50,8 +50,7 @@ class Settings(BaseModel):
 
     def override(self, overrides: dict[str, Any]) -> Self:
         """A copy with single settings changed together, each named ``setting`` or ``table.setting``. A whole table,
-        such
-        as ``imu``, may be given as a dict, or as None if it is optional. Raises `InputError`."""
+        such as ``imu``, may be given as a dict, or as None if it is optional. Raises `InputError`."""
         checked_kind(overrides, "overrides", dict)
         changes: dict[str, Any] = {}
         inner: dict[str, dict[str, Any]] = {}

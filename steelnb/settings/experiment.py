@@ -15,7 +15,7 @@ from steelnb.settings.sensors import ImuSettings, TofSettings
 from steelnb.settings.tower import TowerSettings
 
 SCANS_MIN = 2
-"""The first scan of an odometry is its map, so that it takes a second one to have an error."""
+"""The first scan becomes the map, so only the second one can have an error."""
 
 
 class ExperimentSettings(Settings):

@@ -81,8 +81,8 @@ def test_a_bar_on_a_wall_is_not_free_and_its_width_is_that_of_its_points():
     along = rng.uniform(0, 3, 3000)
     bar = np.column_stack([along, rng.uniform(-0.05, 0.05, (3000, 2))])
     axis = Segments(np.zeros((1, 3)), np.array([[3.0, 0.0, 0.0]]), np.array([3000]), np.array([0.04]))
-    width_m = widths_of(bar, axis, 0.06)
+    width_m = widths_of(bar, axis)
     assert 0.08 < width_m[0] < 0.14
-    assert freedom_of(bar, axis, width_m, 0.06)[0] > 0.95
+    assert freedom_of(bar, axis, width_m)[0] > 0.95
     wall = sheet(3.0, 2.0) - [0.0, 1.0, 0.0]
-    assert freedom_of(np.concatenate([bar[:500], wall]), axis, width_m, 0.06)[0] < 0.5
+    assert freedom_of(np.concatenate([bar[:500], wall]), axis, width_m)[0] < 0.5

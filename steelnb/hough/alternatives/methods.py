@@ -3,7 +3,6 @@
 Open3D and scikit-learn are imported by the methods that use them, since the imports take seconds.
 """
 
-import inspect
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -50,10 +49,9 @@ def find_bars_by(
     points, _, _ = distinct_points(points)
     dx = default_dx(points) if dx is None else checked_number(dx, "dx", above=0)
     seed, points_min = checked_integer(seed, "seed", 0), checked_integer(points_min, "points_min", 2)
-    own = list(inspect.signature(FINDERS[method]).parameters)[4:]
     for name, value in options.items():
-        checked_choice(name, f"option of {method}", own)
-        if name == "components":
+        checked_choice(name, f"option of {method}", OPTIONS.get(method, ()))
+        if name in LISTS:
             check_sequence(value, name, "integers")
             options[name] = tuple(checked_integer(each, f"{name}[{k}]", 1) for k, each in enumerate(value))
             if not value:
@@ -156,6 +154,10 @@ FINDERS: dict[str, Callable[..., Segments]] = {
     "hough": _hough,
 }
 """The methods by their names in tables and figures."""
+OPTIONS = {"ransac-planes": ("trials",), "ransac-lines": ("trials",), "gmm": ("components", "sample")}
+"""The options that a method has beside those that all have: whole numbers above 0."""
+LISTS = ("components",)
+"""Options that are lists of such numbers."""
 
 
 @njit(cache=True)
