@@ -194,9 +194,10 @@ def test_the_claims_notebook_judges_every_claim_by_the_committed_study(results):
     judged = table[table["verdict"] != "not run"]
     assert set(judged["verdict"]) <= {"holds", "does not hold", "inconclusive"}
     assert len(judged) >= 20
-    assert (judged["n_seeds"] >= 4).all()
+    assert (judged["n_seeds"] >= 3).all()
+    assert table.loc[table["verdict"] == "not run", "name"].tolist() == ["gicp-from-a-poor-start"]
     # The drift of a random walk is known: its mean length after 180 s, by the Maxwell distribution.
-    walk = table[table["measure"].str.startswith("raw_at_180_s_m")].iloc[0]
+    walk = table[table["name"] == "random-walk"].iloc[0]
     expected_m = 0.002 * (125 * 180) ** 0.5 * (8 / math.pi) ** 0.5
     three_errors_m = 3 * 0.42 * expected_m / walk["n_seeds"] ** 0.5  # the distribution's spread is 0.42 of its mean
     assert abs(walk["lowest"] - expected_m) < three_errors_m

@@ -14,10 +14,11 @@ from steelnb.core.types import Array
 from steelnb.metrics import WRONG_SHARE
 from steelnb.notebook.study import RUN_COLUMNS
 from steelnb.settings import Settings, read_tables
+from steelnb.settings.report_plots import SENSOR_STEPS, STEP_S
 
 HOLDS, FAILS, OPEN, NOT_RUN = "holds", "does not hold", "inconclusive", "not run"
 CONFIDENCE = 0.95
-UNITS = {"_m_s": "m/s", "_m": "m", "_deg": "°", "_ms": "ms"}
+UNITS = {"_m_s": "m/s", "_m": "m", "_deg": "°", "_ms": "ms", "_s": "s"}
 USUAL: dict[str, Any] = {"sensor": "report", "duration_s": 240.0, "variant": ""}
 """Values of the runs that a claim is about, unless its ``where`` says otherwise."""
 DERIVED: dict[str, Callable[[pd.DataFrame], Any]] = {
@@ -27,13 +28,24 @@ DERIVED: dict[str, Callable[[pd.DataFrame], Any]] = {
     ],
     "converged_wrongly": lambda runs: runs["wrong_share"] > WRONG_SHARE,
     "growth_beyond_drift_m_s": lambda runs: runs["growth_lost_m_s"] - runs["raw_growth_lost_m_s"],
+    "scan_missed": lambda runs: np.where(runs["scan_s"].isna(), np.nan, runs["scan_s"] > 1.5 * SENSOR_STEPS * STEP_S),
 }
 """Metrics derived from the columns of the runs. ``converged_wrongly``: ``wrong_share`` exceeds `metrics.WRONG_SHARE`;
 ``growth_beyond_drift_m_s``: growth rate of the error at scans without correspondences, less that of the drift at the
-same scans."""
+same scans; ``scan_missed``: the next scan came before the program was done with this one."""
+WORDS = {
+    "raw_at_180_s_m": "drift after 180 s", "ate_rmse_m": "root mean square error", "error_mean_m": "mean error",
+    "lost_share": "share of scans without a match", "growth_beyond_drift_m_s": "growth of the error beyond the drift's",
+    "wrong_share": "share of scans more than 25 cm off", "converged_wrongly": "share of flights that went wrong",
+    "segment_recall": "recall of the map", "segment_precision": "precision of the map", "bend_deg": "bend",
+    "turned_mean_deg": "mean rotation", "turned_final_deg": "final rotation", "scan_s": "time for a scan",
+    "scan_missed": "share of scans after which one was missed", "frame_median_ms": "time for a scan",
+    "f1": "F1 score", "recall": "recall", "precision": "precision", "offset_m": "median distance to the true axis",
+}  # fmt: skip
+"""What tables and figures call the metrics."""
 COLUMNS = [
-    "name", "claim", "section", "measure", "cell", "estimate", "low", "high", "n_seeds", "threshold", "threshold_to",
-    "verdict",
+    "name", "topic", "claim", "section", "measure", "cell", "estimate", "low", "high", "n_seeds", "threshold",
+    "threshold_to", "verdict",
 ]  # fmt: skip
 Chosen = dict[str, str | float | list[str]]
 
@@ -42,16 +54,17 @@ class Claim(Settings):
     """One table of the claims' file.
 
     The ``metric`` is taken from the runs that match ``where``, for each cell of ``by`` and each seed. ``form`` makes it
-    a number: its ``level``, its ``difference`` or ``ratio`` of the runs ``a`` to the runs ``b`` of the same seed, the
-    ``ratio of means`` of the two over the seeds (for metrics that are zero on some), or its rank ``correlation`` over
-    the seeds with the metric that ``b`` names. The claim is that this number is ``below`` or ``above`` the
-    ``threshold``, or ``between`` two of them.
+    a number: its mean ``level``, its mean ``difference`` between the runs ``a`` and the runs ``b`` of the same seed,
+    the ``ratio`` of their means, or its rank ``correlation`` over the seeds with the metric that ``b`` names. The claim
+    is that this number is ``below`` or ``above`` the ``threshold``, or ``between`` two of them. Claims of one ``topic``
+    share a figure.
     """
 
+    topic: str
     section: str
     claim: str
     metric: str
-    form: Literal["level", "difference", "ratio", "ratio of means", "correlation"] = "difference"
+    form: Literal["level", "difference", "ratio", "correlation"] = "difference"
     comparison: Literal["below", "above", "between"]
     threshold: Annotated[list[float], Field(min_length=1, max_length=2)]
     where: Chosen = Field(default_factory=dict)
@@ -82,9 +95,10 @@ class Claim(Settings):
 
     @property
     def measure(self) -> str:
-        """The metric, form and unit as text, ``error_mean_m, difference (m)``; a ratio or correlation has no unit."""
+        """The metric in `WORDS`, form and unit, ``mean error, difference in m``; a ratio or correlation has no unit."""
         unit = next((unit for ending, unit in UNITS.items() if self.metric.endswith(ending)), "")
-        return f"{self.metric}, {self.form}" + (f" ({unit})" if unit and self.form in ("level", "difference") else "")
+        text = WORDS.get(self.metric, self.metric) + ("" if self.form == "level" else f", {self.form}")
+        return text + (f" in {unit}" if unit and self.form in ("level", "difference") else "")
 
 
 def read_claims(path: Path) -> dict[str, Claim]:
@@ -95,19 +109,19 @@ def read_claims(path: Path) -> dict[str, Claim]:
 def judge(claims: dict[str, Claim], runs: pd.DataFrame) -> pd.DataFrame:
     """Estimate what each claim is about over the seeds of some runs: one row per claim and cell.
 
-    The columns are ``name``, ``claim``, ``section``, ``measure``, ``cell`` (its values of ``by`` as text), ``estimate``
+    The columns are ``name``, ``topic``, ``claim``, ``section``, ``measure``, ``cell`` (its values of ``by`` as text), ``estimate``
     with its 95 % interval from ``low`` to ``high``, ``n_seeds``, ``threshold`` and, for a range, ``threshold_to``, and
     its `Claim.verdict`. A claim whose runs are missing has one row, `NOT_RUN`, whose ``cell`` says what is missing.
     """
     good, rows = runs[runs["status"] == "ok"], []
     for name, claim in claims.items():
         limits = dict(zip(("threshold", "threshold_to"), claim.threshold, strict=False))
-        named = {"name": name, "claim": claim.claim, "section": claim.section, "measure": claim.measure, **limits}
+        named = {**claim.model_dump(include={"topic", "claim", "section"}), "measure": claim.measure, **limits}
         try:
             cells = claim_cells(claim, good)
         except InputError as fault:
             cells = [{"cell": str(fault).partition(";")[0], "n_seeds": 0, "verdict": NOT_RUN}]
-        rows += [{**named, **cell} for cell in cells]
+        rows += [{"name": name, **named, **cell} for cell in cells]
     return pd.DataFrame(rows, columns=COLUMNS)
 
 
@@ -137,9 +151,8 @@ def claim_cells(claim: Claim, runs: pd.DataFrame) -> list[dict[str, Any]]:
 def interval(form: str, values: Array) -> tuple[float, float, float]:
     """The number of some seeds ``values (seed, side)`` and its 95 % interval.
 
-    Student's t for means, of zero width if all seeds agree; exact for shares (Clopper and Pearson 1934); Fisher's z for
-    Spearman's rank correlation, which is 0 ± 0 if a side is constant. A ratio of means has the interval of its
-    linearised residuals (Cochran, Sampling Techniques, 1977, equation 6.13).
+    Student's t for means, of zero width if all seeds agree; Fieller's (1954) for ratios of means; exact for shares
+    (Clopper and Pearson 1934); Fisher's z for Spearman's rank correlation, which is 0 ± 0 if a side is constant.
     """
     a, b = values[:, 0], values[:, -1]
     if form == "correlation":
@@ -151,16 +164,27 @@ def interval(form: str, values: Array) -> tuple[float, float, float]:
     if form == "level" and np.isin(a, (0.0, 1.0)).all():
         share = stats.binomtest(int(a.sum()), len(a)).proportion_ci(CONFIDENCE)
         return float(a.mean()), float(share.low), float(share.high)
-    if form == "ratio of means" and b.mean() > 0:
-        ratio = a.mean() / b.mean()
-        number = ratio + (a - ratio * b) / b.mean()
-    else:
-        number = a - b if form == "difference" else a / b if form == "ratio" else a
+    if form == "ratio":
+        return _ratio(a, b)
+    number = a - b if form == "difference" else a
     mean = float(number.mean())
     if np.ptp(number) < 1e-12:
         return mean, mean, mean
     around = stats.ttest_1samp(number, 0.0).confidence_interval(CONFIDENCE)
     return mean, float(around.low), float(around.high)
+
+
+def _ratio(a: Array, b: Array) -> tuple[float, float, float]:
+    """The ratio of two means over the same seeds and its interval: all numbers r for which the mean of a − r b is
+    compatible with 0. It is unbounded if the mean of b is."""
+    t = float(stats.t.ppf(0.5 + CONFIDENCE / 2, len(a) - 1))
+    (aa, ab), (_, bb) = t**2 * np.cov(a, b) / len(a)
+    mean_a, mean_b = float(a.mean()), float(b.mean())
+    square, middle = mean_b**2 - bb, mean_a * mean_b - ab
+    if square <= 0:
+        return (mean_a / mean_b if mean_b else np.nan), -np.inf, np.inf
+    root = max(middle**2 - square * (mean_a**2 - aa), 0.0) ** 0.5
+    return mean_a / mean_b, float((middle - root) / square), float((middle + root) / square)
 
 
 def verdict_table(cells: pd.DataFrame) -> pd.DataFrame:
@@ -171,7 +195,7 @@ def verdict_table(cells: pd.DataFrame) -> pd.DataFrame:
     """
     counts = {"as_claimed": HOLDS, "not_as_claimed": FAILS, "not_run": NOT_RUN}
     counted = cells.assign(**{name: cells["verdict"] == verdict for name, verdict in counts.items()})
-    table = counted.groupby(["name", "claim", "section", "measure"], sort=False, as_index=False).agg(
+    table = counted.groupby(["name", "topic", "claim", "section", "measure"], sort=False, as_index=False).agg(
         lowest=("estimate", "min"), highest=("estimate", "max"), n_seeds=("n_seeds", "max"), cells=("cell", "size"),
         **{name: (name, "sum") for name in counts},
     )  # fmt: skip

@@ -13,7 +13,7 @@ from steelnb.metrics import position_error_m
 from steelnb.notebook.cases import plot_of
 from steelnb.notebook.results import find_root
 from steelnb.notebook.tables import case_of, cloud_table
-from steelnb.settings.report_plots import ReportPlot
+from steelnb.settings.report_plots import STEP_S, ReportPlot, read_report_plots
 
 REPORT_FIGURE = {"vertical": "3_2", "orbit": "3_3", "random-walk": "3_5", "constant-drift": "3_6"}
 """The report's figure, as in file names: by flight for segment odometry, by noise for point-cloud odometry."""
@@ -34,6 +34,22 @@ def report_curve(plot: ReportPlot, curve: str = "corrected", until_s: float = np
     rows = rows[(rows[list(named)] == pd.Series(named)).all(axis=1)]
     time_s, error_m = plot.time_at(rows["step"].to_numpy()), rows["error_m"].to_numpy()
     return time_s[time_s <= until_s], error_m[time_s <= until_s]  # false for NaN
+
+
+def sample_runs() -> pd.DataFrame:
+    """The samples of the report's slow programs as runs, so that claims on time are judged like the others: ``scan_s``
+    is the time from a sample to the next one, which the program spent on a scan. A sample stands for a ``seed``, its
+    ``variant`` is ``samples``, and it has no duration. Raises `InputError`."""
+    runs = []
+    for plot in read_report_plots():
+        if plot.steps_per_sample:
+            continue  # a fast program, which used nearly every scan
+        program = {"average": "segments"}.get(plot.method, plot.method)
+        case = {"sensor": "report", "trajectory": plot.flight or plot.trajectory, "noise": plot.noise}
+        case |= {"method": f"report-{program}", "variant": "samples", "duration_s": 0.0, "status": "ok"}
+        scan_s = STEP_S * np.diff(plot.steps)
+        runs.append(pd.DataFrame({**case, "seed": np.arange(len(scan_s)), "scan_s": scan_s}))
+    return pd.concat(runs, ignore_index=True)
 
 
 def report_table(results: Sequence[experiment.Result]) -> pd.DataFrame:

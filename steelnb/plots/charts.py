@@ -12,6 +12,9 @@ from matplotlib.lines import Line2D
 from steelnb.core.errors import InputError
 from steelnb.plots.style import BLACK, COLOURS, DRIFT, GREY, gather_legend
 
+WIDE = 100.0
+"""Ratio of values above which `forest` uses a logarithmic scale."""
+
 
 def error_dots(runs: pd.DataFrame, case: str, methods: Sequence[str], **facets: Any) -> sns.FacetGrid:
     """Plot the absolute trajectory error of each run as a dot, with one row per value of the categorical column
@@ -49,21 +52,24 @@ def _draw_drift(data: pd.DataFrame, case: str, order: Sequence[str], **_: Any) -
 
 
 def forest(cells: pd.DataFrame, colours: Mapping[str, str]) -> matplotlib.figure.Figure:
-    """Draw one panel per ``title`` with the estimate and interval of each ``cell``, coloured by ``verdict``. Dashed
-    lines are the thresholds. Each panel has its own scale."""
-    rows = cells.assign(title=cells["title"].str.wrap(80))
-    heights = rows.groupby("title", sort=False).size() + 2
-    shape = {"sharex": False, "sharey": False, "aspect": 9, "height": 1}
-    grid = sns.FacetGrid(
-        rows, row="title", hue="verdict", palette=colours, gridspec_kws={"height_ratios": list(heights)}, **shape
-    )
-    grid.figure.set_figheight(0.23 * heights.sum() + 1)  # before `map`, whose tight layout needs the room
-    grid.map(plt.hlines, "cell", "low", "high", lw=2).map(plt.scatter, "estimate", "cell", s=22)
-    for title, panel in grid.axes_dict.items():
-        goal = rows.loc[rows["title"] == title, ["threshold", "threshold_to"]].iloc[0].dropna()
+    """Draw one panel per ``title`` with the estimate and interval of each ``cell`` in the order of the table, coloured
+    by ``verdict``. Dashed lines are the thresholds. Each panel has its own scale, a logarithmic one for positive
+    numbers that span more than `WIDE`."""
+    panels = list(cells.groupby(cells["title"].str.wrap(80), sort=False))
+    rows, size = [len(some) for _, some in panels], (9, 0.21 * len(cells) + 0.62 * len(panels) + 0.5)
+    figure, axes = plt.subplots(len(panels), height_ratios=rows, figsize=size, squeeze=False, layout="constrained")
+    for (title, some), panel in zip(panels, axes.flat, strict=True):
+        look = some["verdict"].map(colours)
+        panel.hlines(some["cell"], some["low"], some["high"], lw=2, color=look)
+        panel.scatter(some["estimate"], some["cell"], s=22, color=look)
+        panel.set_ylim(len(some) - 0.4, -0.6)
+        goal = some[["threshold", "threshold_to"]].iloc[0].dropna()
         panel.vlines(goal, *panel.get_ylim(), color=GREY, ls="--")
-    grid.set_titles("").set_titles("{row_name}", loc="left", size=9).set_axis_labels("", "")
-    grid.figure.set_layout_engine("constrained")
+        if 0 < min(goal.min(), some["low"].min()) * WIDE < some["high"].max():
+            panel.set_xscale("log")
+            panel.xaxis.set_major_formatter("{x:g}")
+        panel.set_title(title, loc="left", size=9)
+        panel.tick_params(labelsize=9)
     verdicts = [Line2D([], [], color=colour, marker="o", ls="", label=verdict) for verdict, colour in colours.items()]
-    grid.figure.legend(handles=verdicts, loc="outside lower center", ncols=len(verdicts))
-    return grid.figure
+    figure.legend(handles=verdicts, loc="outside lower center", ncols=len(verdicts))
+    return figure
