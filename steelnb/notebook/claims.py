@@ -109,9 +109,10 @@ def read_claims(path: Path) -> dict[str, Claim]:
 def judge(claims: dict[str, Claim], runs: pd.DataFrame) -> pd.DataFrame:
     """Estimate what each claim is about over the seeds of some runs: one row per claim and cell.
 
-    The columns are ``name``, ``topic``, ``claim``, ``section``, ``measure``, ``cell`` (its values of ``by`` as text), ``estimate``
-    with its 95 % interval from ``low`` to ``high``, ``n_seeds``, ``threshold`` and, for a range, ``threshold_to``, and
-    its `Claim.verdict`. A claim whose runs are missing has one row, `NOT_RUN`, whose ``cell`` says what is missing.
+    The columns are ``name``, ``topic``, ``claim``, ``section``, ``measure``, ``cell`` (its values of ``by`` as text),
+    ``estimate`` with its 95 % interval from ``low`` to ``high``, ``n_seeds``, ``threshold`` and, for a range,
+    ``threshold_to``, and its `Claim.verdict`. A claim whose runs are missing has one row, `NOT_RUN`, whose ``cell``
+    says what is missing.
     """
     good, rows = runs[runs["status"] == "ok"], []
     for name, claim in claims.items():

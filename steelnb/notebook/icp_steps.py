@@ -7,7 +7,7 @@ from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
 from steelnb.core.geometry import transform_points
-from steelnb.core.types import Array, Flight
+from steelnb.core.types import Array, Flight, IntArray
 from steelnb.plots import BLACK, GREY, ORANGE, Figure, gather_legend
 from steelnb.points import preprocess_scan
 from steelnb.registration.pcl import least_squares_motion
@@ -25,7 +25,7 @@ class IcpStep(NamedTuple):
     """A source ``(N, 3)`` at one step, and the target points ``(K, 3)`` that ``paired (K,)`` rows of it have."""
 
     source: Array
-    paired: Array
+    paired: IntArray
     matched: Array
 
 
@@ -37,7 +37,7 @@ def icp_steps(source: Array, target: Array, limit_m: float, rounds: int = 50) ->
     tree, steps = KDTree(target), {}
     for k in range(rounds):
         distance_m, match = tree.query(source, distance_upper_bound=limit_m)
-        paired = np.flatnonzero(np.isfinite(distance_m))
+        paired = np.flatnonzero(np.isfinite(distance_m)).astype(np.int64)
         if not len(paired):
             raise ValueError(f"no pair within {limit_m} m")
         matched = target[match[paired]]
@@ -67,7 +67,9 @@ def figure_icp_steps(flight: Flight, truth: Truth, frame: int, preprocess: Prepr
     for panel, (title, step) in zip(figure.subplots(1, len(steps), sharey=True), steps.items(), strict=True):
         shown = step.paired[:: max(1, len(step.paired) // PAIRS_SHOWN)]
         joined = np.isin(step.paired, shown)
-        panel.plot(*np.stack([step.source[shown], step.matched[joined]])[..., 1:].transpose(2, 0, 1), color=GREY, lw=0.7)
+        panel.plot(
+            *np.stack([step.source[shown], step.matched[joined]])[..., 1:].transpose(2, 0, 1), color=GREY, lw=0.7
+        )
         panel.scatter(*reference[:, 1:].T, s=3, color=BLACK, lw=0, label="reference cloud P, the scan before")
         panel.scatter(*step.source[:, 1:].T, s=3, color=ORANGE, lw=0, label="scan Q")
         panel.set(aspect="equal", xlabel="to the left (m)", xlim=(EXTENT_M, -EXTENT_M), ylim=(-EXTENT_M, EXTENT_M))

@@ -45,7 +45,11 @@ def sample_runs() -> pd.DataFrame:
         if plot.steps_per_sample:
             continue  # a fast program, which used nearly every scan
         program = {"average": "segments"}.get(plot.method, plot.method)
-        case = {"sensor": "report", "trajectory": plot.flight or plot.trajectory, "noise": plot.noise}
+        case: dict[str, str | float] = {
+            "sensor": "report",
+            "trajectory": plot.flight or plot.trajectory,
+            "noise": plot.noise,
+        }
         case |= {"method": f"report-{program}", "variant": "samples", "duration_s": 0.0, "status": "ok"}
         scan_s = STEP_S * np.diff(plot.steps)
         runs.append(pd.DataFrame({**case, "seed": np.arange(len(scan_s)), "scan_s": scan_s}))

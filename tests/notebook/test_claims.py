@@ -52,8 +52,8 @@ def better(where=lambda trajectory, noise: True, by=0.5) -> pd.DataFrame:
 
 def claim(**changes) -> Claim:
     given = {
-        "topic": "t", "section": "1", "claim": "two is better than one", "metric": "error_mean_m", "comparison": "below",
-        "threshold": [0.0], "a": {"method": "two"}, "b": {"method": "one"},
+        "topic": "t", "section": "1", "claim": "two is better than one", "metric": "error_mean_m",
+        "comparison": "below", "threshold": [0.0], "a": {"method": "two"}, "b": {"method": "one"},
     }  # fmt: skip
     return Claim(**{**given, **changes})
 
