@@ -1,5 +1,7 @@
 """Clocks of recordings: wrong stamps, clocks of no use, and scans that are off the poses."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -16,8 +18,9 @@ TIMES = np.round(EPOCH_S + 0.2 * np.arange(8), 9)
 
 def bag_of(path, scan_s, pose_s=TIMES):
     """A bag whose messages are recorded at `TIMES`, with other stamps of scans and poses."""
-    bag, trajectory = Bagged(path), poses(8, begin_s=EPOCH_S)
-    bag.clouds(stamps=scan_s).odometry(trajectory=type(trajectory)(pose_s, trajectory.T_world_drone))
+    bag, T = Bagged(path), poses(8, begin_s=EPOCH_S).T_world_drone
+    wrong = SimpleNamespace(stamp_s=pose_s, T_world_drone=T)  # no Trajectory may have such stamps
+    bag.clouds(stamps=scan_s).odometry(trajectory=wrong)
     bag.rows = [(topic, kind, TIMES[k % 8], message) for k, (topic, kind, _, message) in enumerate(bag.rows)]
     return bag.write()
 
