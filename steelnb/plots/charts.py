@@ -9,6 +9,7 @@ import pandas as pd
 import seaborn as sns
 from matplotlib.lines import Line2D
 
+from steelnb.core.errors import InputError
 from steelnb.plots.style import BLACK, COLOURS, DRIFT, GREY, gather_legend
 
 
@@ -17,8 +18,10 @@ def error_dots(runs: pd.DataFrame, case: str, methods: Sequence[str], **facets: 
     ``case`` and one colour per method. A black bar is the mean; the range of errors without correction is behind.
 
     ``runs`` has the columns ``ate_rmse_m`` and ``raw_ate_rmse_m`` (m) and ``method``. ``facets`` are options of
-    `seaborn.catplot`, such as ``col``.
+    `seaborn.catplot`, such as ``col``. Raises `InputError` without a run.
     """
+    if runs.empty:
+        raise InputError(f"no run of {', '.join(methods)} is left to draw: expected other methods or noises")
     rows = runs.assign(ate_cm=100 * runs["ate_rmse_m"], drift_cm=100 * runs["raw_ate_rmse_m"])
     dodge = 0.8 - 0.8 / len(methods) if case != "method" else 0.0
     dots = {"x": "ate_cm", "y": case, "order": list(rows[case].cat.categories), "hue": "method", "hue_order": methods}
