@@ -97,7 +97,7 @@ BAD = (
     (["run", "a.mcap", "--odometry", "mine:Hed"], "did you mean 'Held'?"),
     (["run", "a.mcap", "--odometry", "mine:Empty"], "mine:Empty: no method 'update'; expected update(scan, T_world"),
     (["run", "a.mcap", "--odometry", "mine:Needy"], "mine:Needy: its constructor needs leaf; expected T_drone_sensor"),
-    (["run", "a.mcap", "--odometry", "mine:Silent"], "Silent.update gave None; expected an OdometryStep"),
+    (["run", "a.mcap", "--odometry", "mine:Silent"], "Silent.update, scan 0: its result = None: expected OdometryStep"),
     (["run", "a.mcap", "--odometry", "syntax:Mine"], "syntax:Mine: module 'syntax' cannot be imported: "),
     (["run", "a.mcap", "--estimate", "nothing.tum"], "nothing.tum: does not exist; expected a TUM trajectory"),
     (["run", "untrue.mcap", "--estimate", "theirs.tum"], "theirs.tum: untrue.mcap has no truth to score it against"),
