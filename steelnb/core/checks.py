@@ -118,9 +118,7 @@ def checked_shape(values: Any, name: str, shape: tuple[int, ...]) -> NDArray[Any
     """Whole numbers or truth values in an array of a shape."""
     array = np.asarray(values)
     if array.shape != shape or array.dtype.kind not in "biu":
-        raise InputError(
-            f"{name}: an array of {array.dtype} of shape {array.shape}; expected {shape} of integers or truth values"
-        )
+        raise InputError(f"{name}: {array.dtype} of shape {array.shape}; expected {shape}, integers or truth values")
     return array
 
 
@@ -185,7 +183,8 @@ def checked_pose(T_target_source: object, name: str) -> _Array:
     array = _real(T_target_source, name, "a finite (4, 4) array")
     if array.shape != (4, 4):
         raise InputError(f"{name}: an array of shape {array.shape}; expected {_RIGID}")
-    _check_rigid(array[None], name, "")
+    if not _is_rigid(*array.tolist()):
+        _check_rigid(array[None], name, "")
     return array
 
 
@@ -210,6 +209,18 @@ def _real(values: object, name: str, expected: str) -> _Array:
     except (TypeError, ValueError):
         kind = getattr(values, "dtype", type(values).__name__)
         raise InputError(f"{name}: {kind}; expected {expected}") from None
+
+
+def _is_rigid(x: list[float], y: list[float], z: list[float], last: list[float]) -> bool:
+    """Whether the rows of a pose pass `_check_rigid`, in a sixth of its time, as each scan has several."""
+    (a, b, c, p), (d, e, f, q), (g, h, i, r) = x, y, z
+    off = (
+        a * a + d * d + g * g - 1, b * b + e * e + h * h - 1, c * c + f * f + i * i - 1, a * b + d * e + g * h,
+        a * c + d * f + g * i, b * c + e * f + h * i, last[0], last[1], last[2], last[3] - 1,
+    )  # fmt: skip
+    handed = a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g)
+    within = max(off) <= RIGID_TOLERANCE and min(off) >= -RIGID_TOLERANCE
+    return within and handed > 0 and math.isfinite(sum(off) + p + q + r)
 
 
 def _check_rigid(T: _Array, name: str, index: str) -> None:
