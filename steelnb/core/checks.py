@@ -219,8 +219,7 @@ def _is_rigid(x: list[float], y: list[float], z: list[float], last: list[float])
         a * c + d * f + g * i, b * c + e * f + h * i, last[0], last[1], last[2], last[3] - 1,
     )  # fmt: skip
     handed = a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g)
-    within = max(off) <= RIGID_TOLERANCE and min(off) >= -RIGID_TOLERANCE
-    return within and handed > 0 and math.isfinite(sum(off) + p + q + r)
+    return max(map(abs, off)) <= RIGID_TOLERANCE and handed > 0 and math.isfinite(sum(off) + p + q + r)
 
 
 def _check_rigid(T: _Array, name: str, index: str) -> None:
