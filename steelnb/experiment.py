@@ -4,8 +4,8 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from typing import cast
 
+from steelnb.core.arguments import checks_arguments
 from steelnb.core.cache import cached
-from steelnb.core.checks import checked_kind
 from steelnb.core.errors import InputError
 from steelnb.core.estimates import Estimate
 from steelnb.core.range_scans import RangeScans
@@ -49,6 +49,7 @@ class Result(Estimate):
         return f"Result({self.settings.odometry.method!r}: {self._summary()}; error {numbers})"
 
 
+@checks_arguments
 def run(settings: ExperimentSettings, on_progress: OnProgress | None = None) -> Result:
     """Simulate a flight, let its pose drift, correct it scan by scan, and compare with the truth.
 
@@ -57,13 +58,13 @@ def run(settings: ExperimentSettings, on_progress: OnProgress | None = None) -> 
     return estimate(settings, flight, truth, on_progress)
 
 
+@checks_arguments
 def simulate(settings: ExperimentSettings, on_progress: OnProgress | None = None) -> tuple[Flight, Truth]:
     """Simulate a flight as an estimator sees it, and return the truth separately. Raises `CollisionError`.
 
     The pilot of a planned flight sees no more than that: drifting poses, scans, and the estimate of the settings'
     odometry. Such a simulation takes as long as the odometry, and reports its progress.
     """
-    checked_kind(settings, "settings", ExperimentSettings, "ExperimentSettings.preset")
     tower, tof = build_tower(settings.tower), settings.tof
     planned = settings.flight.trajectory == "planned"
 
@@ -97,6 +98,7 @@ def world(settings: ExperimentSettings) -> tuple[str, str | None]:
     return settings.model_dump_json(include=parts), members and members_file(members).read_text(encoding="utf-8")
 
 
+@checks_arguments
 def redrift(settings: ExperimentSettings, flight: Flight, truth: Truth) -> Flight:
     """The same flight and scans with the drift of other settings, and with the images that their method needs.
 
@@ -112,6 +114,7 @@ def redrift(settings: ExperimentSettings, flight: Flight, truth: Truth) -> Fligh
     return replace(flight, prior=prior, images=images)
 
 
+@checks_arguments
 def estimate(
     settings: ExperimentSettings, flight: Flight, truth: Truth, on_progress: OnProgress | None = None
 ) -> Result:

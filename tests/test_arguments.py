@@ -1,9 +1,14 @@
 """Public functions refuse wrong arguments in one line that names the argument, its value and what is expected."""
 
+from pathlib import Path
+from typing import Literal
+
 import numpy as np
 import pytest
 
-from steelnb import experiment, fusion, hough, metrics, odometry, planning, points, registration, settings
+from steelnb import experiment, fusion, hough, metrics, odometry, planning, points, registration, settings, simulation
+from steelnb.core import rng
+from steelnb.core.arguments import checks_arguments
 from steelnb.core.errors import InputError
 from steelnb.core.estimates import OdometryStep
 from steelnb.core.types import Flight, Scan, Segments, Trajectory
@@ -15,6 +20,9 @@ SCANS = [Scan(float(k), CLOUD) for k in range(3)]
 FLIGHT = Flight(SCANS, Trajectory(np.arange(3.0), POSES), np.eye(4))
 PLANNED = settings.FlightSettings.preset("planned")
 NAN = float("nan")
+AXES = np.array([[[0.0, 0, 0], [0, 0, 1]]])
+CROP, FUSION = settings.PreprocessSettings(), settings.FusionSettings()
+ICP = settings.OdometrySettings.preset("icp")
 TAKE_A_CLOUD = {
     "insert": lambda cloud: points.VoxelMap(0.1).insert(cloud),
     "voxel_grid": lambda cloud: points.voxel_grid(cloud, 0.1),
@@ -88,6 +96,36 @@ def test_clouds_of_another_kind(take, cloud):
         (lambda: settings.OdometrySettings.preset("best", overrides="smooth"), "overrides = 'smooth'"),
         (lambda: settings.ExperimentSettings.preset(overrides="smooth"), "overrides = 'smooth'"),
         (lambda: settings.ExperimentSettings.preset(seed=-1), "seed = -1"),
+        (lambda: settings.ExperimentSettings.preset(seed=np.ones((2, 2))), "seed = ndarray"),
+        (lambda: settings.ExperimentSettings.preset(trajectory=np.ones((2, 2))), "trajectory = ndarray"),
+        (lambda: settings.Noise(random_walk_m=NAN), "Noise.random_walk_m = nan: expected a finite number"),
+        (lambda: settings.parse_parameter(None), "text = None: expected a text"),
+        (lambda: rng.stream(None, "tof"), "seed = None: expected an integer of at least 0"),
+        (lambda: hough.directions(40), "granularity = 40: expected an integer from 0 to 6"),
+        (lambda: hough.directions("4"), "granularity = '4': expected an integer"),
+        (lambda: hough.detect_lines(CLOUD, skip_weak="no"), "skip_weak = 'no': expected True or False"),
+        (lambda: hough.detect_lines(CLOUD, np.ones((2, 2))), "dx = ndarray: expected a number or None"),
+        (lambda: points.VoxelMap(0.1, "no"), "accumulate = 'no': expected True or False"),
+        (lambda: points.voxel_grid(CLOUD, None), "leaf_m = None: expected a number"),
+        (lambda: points.preprocess_scan(SCANS[0], np.ones((9, 4)), np.eye(4), CROP), r"T_world_drone: .*\(9, 4\)"),
+        (lambda: points.preprocess_scan(SCANS[0], np.eye(4), NAN * np.eye(4), CROP), r"T_drone_sensor\[0, 0\] = nan"),
+        (lambda: odometry.run(FLIGHT, odometry.CloudOdometry), "odometry = the class CloudOdometry: "),
+        (lambda: odometry.correct(FLIGHT, ICP, "show"), "on_step = 'show': .*function"),
+        (lambda: odometry.CloudOdometry(imu="imu"), "imu = 'imu': expected Imu or None"),
+        (lambda: odometry.load_odometry(None), "name = None: expected a text"),
+        (lambda: fusion.smooth(FLIGHT, None, imu=3), "estimate = None"),
+        (lambda: fusion.associate(CLOUD, Segments.empty(), FUSION), "new = ndarray: expected Segments"),
+        (lambda: metrics.score_estimate(None, None), "estimate = None: expected Estimate, as from odometry.correct"),
+        (lambda: metrics.score_gaps(FLIGHT.prior, FLIGHT.prior, (1.0, 2.0)), r"blind_s: .*expected \(N, 2\)"),
+        (lambda: metrics.score_segments(Segments.empty(), AXES, angle_max_rad=NAN), "angle_max_rad = nan"),
+        (lambda: metrics.score_segments(Segments.empty(), AXES, np.ones(3, bool)), "observed: .*bool"),
+        (lambda: metrics.largest_slip(np.zeros(9), 0), "scans = 0: expected an integer of at least 1"),
+        (lambda: simulation.build_tower("tapered"), "settings = 'tapered': expected TowerSettings or None"),
+        (lambda: simulation.fly(None, PLANNED, 1), "tower = None: expected Tower, as from build_tower"),
+        (lambda: experiment.simulate(FLIGHT), "settings = Flight: expected ExperimentSettings"),
+        (lambda: FLIGHT.first(-1), "count = -1"),
+        (lambda: FLIGHT.prior.moved("far"), "by: str"),
+        (lambda: FLIGHT.prior.between([NAN]), r"stamp_s\[0\] = nan"),
         (lambda: settings.ExperimentSettings.preset(seed=np.float64(1.5)), "seed = 1.5"),
     ],
 )  # fmt: skip
@@ -95,6 +133,26 @@ def test_values_that_are_out_of_range_or_of_another_kind(call, says):
     with pytest.raises(InputError, match=says) as refusal:
         call()
     assert "\n" not in str(refusal.value)
+
+
+@checks_arguments
+def takes(
+    number: float, kinds: Literal["a", "b"] | None = None, many: dict[str, int] | None = None, path: Path | str = ""
+):
+    return number
+
+
+def test_arguments_are_compared_with_annotations_by_place_and_by_name():
+    assert takes(np.float32(0.5), "a", {}, Path("x")) == takes(number=0.5, path="x") == 0.5
+    for args, named, says in (
+        ((True,), {}, "number = True: expected a number"), ((1, "c"), {}, "kinds = 'c': expected 'a', 'b' or None"),
+        ((1,), {"many": [1]}, r"many = \[1\]: expected a table or None"),
+        ((1,), {"path": 3}, "path = 3: expected a path or a text"),
+    ):  # fmt: skip
+        with pytest.raises(InputError, match=says):
+            takes(*args, **named)
+    with pytest.raises(TypeError, match="missing"):
+        takes()
 
 
 def test_numbers_of_numpy_are_numbers():

@@ -7,7 +7,7 @@ state estimation in robotics" (arXiv 1812.01537, 2018).
 """
 
 import numpy as np
-from scipy.spatial.transform import Rotation
+from scipy.spatial.transform import Rotation, Slerp
 
 from steelnb.core.types import Array
 
@@ -105,3 +105,16 @@ def information_at(information: Array, arm: Array) -> Array:
     offset from it by ``arm (3,)``."""
     by_twist = twist_jacobian(-arm)
     return np.asarray(by_twist.T @ information @ by_twist)
+
+
+def interpolated_poses(stamp_s: Array, T: Array, at_s: Array) -> Array:
+    """Poses ``(..., 4, 4)`` at ``at_s (...)`` between those of ``T (N, 4, 4)`` at ``stamp_s (N,)``, N at least 2.
+
+    Positions are interpolated linearly, rotations by slerp; before and after, the first and last pose hold.
+    """
+    inside = np.clip(at_s, stamp_s[0], stamp_s[-1]).ravel()
+    result = np.tile(np.eye(4), (len(inside), 1, 1))
+    result[:, :3, :3] = Slerp(stamp_s, Rotation.from_matrix(T[:, :3, :3]))(inside).as_matrix()
+    for axis in range(3):
+        result[:, axis, 3] = np.interp(inside, stamp_s, T[:, axis, 3])
+    return result.reshape(*np.shape(at_s), 4, 4)

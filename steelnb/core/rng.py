@@ -5,6 +5,8 @@ from typing import Literal
 
 import numpy as np
 
+from steelnb.core.checks import checked_integer
+
 Seed = int | Literal["report"]
 """A non-negative integer, or ``report``: the drift then uses the random draws of the report's program
 (`steelnb.simulation.noise`)."""
@@ -15,10 +17,11 @@ REPORT_SEED = 42
 def stream(seed: Seed, *names: str | int) -> np.random.Generator:
     """A random generator that depends only on the seed and the names, such as ``("tof", 17)`` for scan 17.
 
-    The seed ``report`` counts as `REPORT_SEED`. Names are hashed with CRC-32, the same on every machine.
+    The seed ``report`` counts as `REPORT_SEED`. Names are hashed with CRC-32, the same on every machine. Raises
+    `InputError` for another seed.
     """
     key = tuple(zlib.crc32(name.encode()) if isinstance(name, str) else name for name in names)
-    entropy = REPORT_SEED if seed == "report" else seed
+    entropy = REPORT_SEED if seed == "report" else checked_integer(seed, "seed", 0)
     return np.random.default_rng(np.random.SeedSequence(entropy=entropy, spawn_key=key))
 
 

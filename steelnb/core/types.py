@@ -52,7 +52,7 @@ class Trajectory:
 
         Positions are rounded to 0.1 µm, which removes the rounding errors of large map coordinates moved to the origin.
         """
-        if not by.any():
+        if not checks.checked_array(by, "by", (3,)).any():
             return self
         T_world_drone = self.T_world_drone.copy()
         T_world_drone[:, :3, 3] = np.round(T_world_drone[:, :3, 3] + by, 7)
@@ -71,16 +71,12 @@ class Trajectory:
     def between(self, stamp_s: Array) -> Array:
         """Poses ``(..., 4, 4)`` at any ``stamp_s (...)``: positions interpolated linearly, rotations by slerp, clamped
         to the first and last pose. Raises `InputError` with fewer than two poses."""
-        from scipy.spatial.transform import Rotation, Slerp  # imported late, as few users of this module need it
+        from steelnb.core.geometry import interpolated_poses  # imports this module
 
+        checks.checked_array(np.ravel(stamp_s), "stamp_s", ("K",))
         if len(self) < 2:
             raise InputError(f"a trajectory of {len(self)} poses: expected at least two to interpolate")
-        inside = np.clip(stamp_s, self.stamp_s[0], self.stamp_s[-1]).ravel()
-        result = np.tile(np.eye(4), (len(inside), 1, 1))
-        result[:, :3, :3] = Slerp(self.stamp_s, Rotation.from_matrix(self.T_world_drone[:, :3, :3]))(inside).as_matrix()
-        for axis in range(3):
-            result[:, axis, 3] = np.interp(inside, self.stamp_s, self.position[:, axis])
-        return result.reshape(*stamp_s.shape, 4, 4)
+        return interpolated_poses(self.stamp_s, self.T_world_drone, stamp_s)
 
 
 GRAVITY = 9.81
@@ -96,11 +92,10 @@ class Imu:
     angular_rate: Array
 
     def __post_init__(self) -> None:
-        stamp_s = checks.checked_stamps(self.stamp_s, "Imu.stamp_s")
-        checks.set_checked(self, stamp_s=stamp_s, **{
-            name: checks.checked_array(getattr(self, name), f"Imu.{name}", (len(stamp_s), 3))
-            for name in ("specific_force", "angular_rate")
-        })  # fmt: skip
+        checks.set_checked(self, stamp_s=checks.checked_stamps(self.stamp_s, "Imu.stamp_s"))
+        for name in ("specific_force", "angular_rate"):
+            values = checks.checked_array(getattr(self, name), f"Imu.{name}", (len(self.stamp_s), 3))
+            checks.set_checked(self, **{name: values})
 
     def __repr__(self) -> str:
         return f"Imu({len(self.stamp_s)} readings{_span(self.stamp_s)})"
@@ -122,10 +117,8 @@ class Scan:
         checks.set_checked(self, stamp_s=stamp_s, points=checks.checked_cloud(self.points, "Scan.points"))
 
     def __repr__(self) -> str:
-        returns = np.count_nonzero(np.isfinite(self.points).all(axis=-1))
-        return (
-            f"Scan({self.stamp_s:.3f} s, points {self.points.shape}, {returns} finite{self.fault and ', '}{self.fault})"
-        )
+        count, fault = np.count_nonzero(np.isfinite(self.points).all(axis=-1)), self.fault and f", {self.fault}"
+        return f"Scan({self.stamp_s:.3f} s, points {self.points.shape}, {count} finite{fault})"
 
 
 @dataclass(frozen=True)
@@ -154,9 +147,8 @@ class Flight:
         checks.check_sequence(self.scans, "Flight.scans", "Scan")
         stamp_s = getattr(self.scans, "stamp_s", None)  # known without reading the scans
         if stamp_s is None and isinstance(self.scans, list | tuple):
-            stamp_s = [
-                checks.checked_kind(scan, f"Flight.scans[{k}]", Scan).stamp_s for k, scan in enumerate(self.scans)
-            ]
+            scans = (checks.checked_kind(scan, f"Flight.scans[{k}]", Scan) for k, scan in enumerate(self.scans))
+            stamp_s = [scan.stamp_s for scan in scans]
         known_s = self.prior.stamp_s if stamp_s is None else np.asarray(stamp_s)
         checks.check_length(self.scans, "Flight.scans", len(self.prior), "one a pose")
         checks.check_same_stamps(known_s, "Flight.scans", self.prior.stamp_s, "the poses in Flight.prior")
@@ -174,8 +166,9 @@ class Flight:
 
     def first(self, count: int) -> "Flight":
         """The first ``count`` scans of the flight."""
-        prior = Trajectory(self.prior.stamp_s[:count], self.prior.T_world_drone[:count])
-        return replace(self, scans=self.scans[:count], prior=prior)
+        part = slice(checks.checked_integer(count, "count", 0))
+        prior = Trajectory(self.prior.stamp_s[part], self.prior.T_world_drone[part])
+        return replace(self, scans=self.scans[part], prior=prior)
 
 
 @dataclass(frozen=True)
@@ -187,6 +180,10 @@ class Lines:
     direction: Array
     count: IntArray
     label: IntArray
+
+    def __post_init__(self) -> None:
+        checks.check_columns(self, count=0, anchor=3, direction=3)
+        checks.checked_shape(self.label, "Lines.label", np.shape(self.label)[:1])
 
     def __len__(self) -> int:
         return len(self.count)
@@ -204,6 +201,9 @@ class Segments:
     end: Array
     count: IntArray
     radius: Array
+
+    def __post_init__(self) -> None:
+        checks.check_columns(self, start=3, end=3, count=0, radius=0)
 
     def __len__(self) -> int:
         return len(self.count)

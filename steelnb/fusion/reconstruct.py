@@ -6,7 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from steelnb.core.checks import check_sequence, checked_kind, checked_pose, checked_poses
+from steelnb.core.arguments import checks_arguments
+from steelnb.core.checks import check_sequence, checked_pose, checked_poses
 from steelnb.core.errors import InputError
 from steelnb.core.geometry import shift_of
 from steelnb.core.types import Array, Scan, Segments
@@ -24,6 +25,7 @@ TILT_MAX_RAD = 0.1
 """A bar whose direction has a larger standard deviation is dropped."""
 
 
+@checks_arguments
 def reconstruct(
     scans: Sequence[Scan],
     T_world_drone: Array,
@@ -52,7 +54,6 @@ def reconstruct(
     Poses far from zero, such as in UTM, are moved near it for the work (`shift_of`).
     """
     settings = StructureSettings() if settings is None else settings
-    checked_kind(settings, "settings", StructureSettings)
     check_sequence(scans, "scans", "Scan")
     T_world_drone = checked_poses(T_world_drone, "T_world_drone", len(scans))
     origin = shift_of(T_world_drone[0, :3, 3]) if len(scans) else np.zeros(3)

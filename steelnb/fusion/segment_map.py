@@ -5,7 +5,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from steelnb.core.checks import checked_kind
+from steelnb.core.arguments import checks_arguments
 from steelnb.core.kernels import njit
 from steelnb.core.types import Array, IntArray, Segments
 from steelnb.settings import FusionSettings
@@ -14,6 +14,7 @@ GAP_MAX_M = 0.2
 """Maximum gap along the axis between a segment and its bar."""
 
 
+@checks_arguments
 def associate(new: Segments, known: Segments, settings: FusionSettings) -> IntArray:
     """The nearest of K known segments for each of M new ones ``(M,)``, −1 if none matches; both in one frame, metres.
 
@@ -79,9 +80,9 @@ class SegmentMap:
     points are merged before they are segments (`hough.segments_kernels.merge`).
     """
 
+    @checks_arguments
     def __init__(self, settings: FusionSettings | None = None) -> None:
         self.settings = FusionSettings() if settings is None else settings
-        checked_kind(self.settings, "settings", FusionSettings)
         self.sightings = np.zeros(0, dtype=np.int64)
         self.inserts = 0
         self._last = np.zeros(0, dtype=np.int64)  # the insert in which a bar was last observed
@@ -91,13 +92,13 @@ class SegmentMap:
     def __len__(self) -> int:
         return len(self.segments)
 
+    @checks_arguments
     def insert(self, new: Segments) -> IntArray:
         """Add M segments in the world frame; returns the bar of the map that each was merged into ``(M,)``.
 
         A segment without a match starts a bar. Bars that match each other once they have grown are merged, the later
         into the earlier. A ``segments`` object read before this call does not change.
         """
-        checked_kind(new, "new", Segments, "detect_segments")
         target = associate(new, self.segments, self.settings)
         fresh = np.flatnonzero(target < 0)
         target[fresh] = len(self) + np.arange(len(fresh))

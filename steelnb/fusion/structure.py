@@ -6,6 +6,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from steelnb.core.arguments import checks_arguments
+from steelnb.core.checks import check_columns, check_length, checked_kind
 from steelnb.core.types import Array, IntArray, Segments
 
 
@@ -31,6 +33,14 @@ class Structure:
     opening: Array | None = None
     tube: NDArray[np.bool_] | None = None
 
+    def __post_init__(self) -> None:
+        bars = len(checked_kind(self.segments, "Structure.segments", Segments))
+        for name in ("width_m", "sightings", "sigma_m"):
+            check_columns(self, **{name: 0})
+            check_length(getattr(self, name), f"Structure.{name}", bars, "one a bar")
+        check_columns(self, joint=3)
+        check_columns(self, tie=2)
+
     def __len__(self) -> int:
         return len(self.segments)
 
@@ -39,6 +49,7 @@ class Structure:
         return f"Structure({len(self)} bars, {self.segments.length.sum():.2f} m in all, {len(self.joint)} joints{why})"
 
     @staticmethod
+    @checks_arguments
     def of(bars: Segments, reason: str = "") -> "Structure":
         """Bars without joints, of unknown width and accuracy, each observed once."""
         unknown = np.full(len(bars), np.nan)

@@ -4,6 +4,8 @@ from functools import lru_cache
 
 import numpy as np
 
+from steelnb.core.arguments import checks_arguments
+from steelnb.core.checks import checked_integer
 from steelnb.core.types import Array
 
 # In single precision, as in the published program: ties between directions depend on their order and last bits.
@@ -23,13 +25,15 @@ _TRIANGLES = (
 )  # fmt: skip
 
 
+@checks_arguments
 @lru_cache(maxsize=8)
 def directions(granularity: int) -> Array:
     """Unit vectors ``(5 * 4**granularity + 1, 3)`` that cover the half sphere evenly, one of each opposite pair.
 
     ``granularity`` 4 gives 1281 directions about 4° apart, 6 gives 20481 about 1° apart. They are in the order of the
-    published program, which breaks ties by this order.
+    published program, which breaks ties by this order. Raises `InputError` for a granularity outside 0–6.
     """
+    checked_integer(granularity, "granularity", 0, 6)
     vertices = [np.array(corner) for corner in _CORNERS]
     triangles = list(_TRIANGLES)
     for _ in range(granularity):

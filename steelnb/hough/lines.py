@@ -5,6 +5,7 @@ import math
 import numpy as np
 from scipy.spatial import cKDTree
 
+from steelnb.core.arguments import checks_arguments
 from steelnb.core.checks import checked_cloud, checked_integer, checked_number
 from steelnb.core.errors import InputError
 from steelnb.core.types import Array, Lines
@@ -17,6 +18,7 @@ MAX_CELLS = 1 << 26
 """Maximum size of the vote image: 64 million cells of 4 bytes, 256 MiB."""
 
 
+@checks_arguments
 def detect_lines(
     points: Array,
     dx: float | None = None,

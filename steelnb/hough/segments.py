@@ -4,7 +4,8 @@ import math
 
 import numpy as np
 
-from steelnb.core.checks import check_length, checked_integer, checked_kind, checked_number, checked_points
+from steelnb.core.arguments import checks_arguments
+from steelnb.core.checks import check_length, checked_integer, checked_number, checked_points
 from steelnb.core.types import Array, Lines, Segments
 from steelnb.hough.lines import default_dx, detect_lines
 from steelnb.hough.segments_kernels import cut, filter_pieces, merge
@@ -14,6 +15,7 @@ GAP = 4.0
 """Maximum gap of a segment in dx: default of ``gap_max``."""
 
 
+@checks_arguments
 def detect_segments(
     points: Array,
     dx: float | None = None,
@@ -55,9 +57,9 @@ def detect_segments(
     )  # fmt: skip
 
 
+@checks_arguments
 def detect_segments_with(points: Array, settings: HoughSettings) -> Segments:
     """`detect_segments` with an experiment's settings."""
-    checked_kind(settings, "settings", HoughSettings)
     return detect_segments(
         points, settings.dx_m, settings.min_votes, settings.max_lines, settings.granularity, settings.gap_max_m,
         settings.pca_ratio_min, settings.dx_m, settings.density_min_per_m, settings.length_min_m,
@@ -65,6 +67,7 @@ def detect_segments_with(points: Array, settings: HoughSettings) -> Segments:
     )  # fmt: skip
 
 
+@checks_arguments
 def cut_and_sort(
     points: Array,
     lines: Lines,
@@ -81,7 +84,7 @@ def cut_and_sort(
     Pieces with fewer than ``min_points`` points are dropped first. Collinear pieces within ``merge_distance``, metres,
     are merged before the bounds are applied; 0 turns merging off. Raises `InputError`.
     """
-    points, lines = checked_points(points), checked_kind(lines, "lines", Lines, "detect_lines")
+    points = checked_points(points)
     check_length(lines.label, "lines.label", len(points), "one a point")
     checked_number(gap_max, "gap_max", above=0, infinite=True)
     checked_integer(min_points, "min_points", 0)

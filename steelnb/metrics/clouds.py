@@ -4,7 +4,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
-from steelnb.core.checks import checked_points
+from steelnb.core.arguments import checks_arguments
+from steelnb.core.checks import checked_array, checked_integer, checked_points, checked_shape
 from steelnb.core.errors import InputError
 from steelnb.core.estimates import Estimate
 from steelnb.core.geometry import transform_points, yaw_of
@@ -69,28 +70,33 @@ def basin_radius_m(offset_m: Array, converged: np.ndarray) -> float:
     ``offset_m (N, k)``: starts relative to the true position; ``converged (N,)``: whether each converged to it. The
     radius is the distance of the farthest start that is nearer than all failures, or zero.
     """
-    distance = np.linalg.norm(offset_m, axis=1)
+    distance = np.linalg.norm(checked_array(offset_m, "offset_m", ("N", "k")), axis=1)
+    converged = checked_shape(converged, "converged", (len(distance),)).astype(bool)
     nearest_failure = distance[~converged].min(initial=np.inf)
     return float(distance[distance < nearest_failure - 1e-9].max(initial=0.0))
 
 
+@checks_arguments
 def largest_slip(error_m: Array, scans: int) -> tuple[int, float]:
     """Largest growth of an error ``(N,)`` over ``scans`` scans: (scan at its end, growth in metres).
 
     Raises `InputError` for fewer than two scans."""
+    error_m = checked_array(error_m, "error_m", ("N",))
     if len(error_m) < 2:
         raise InputError(f"error_m: {len(error_m)} scans; expected at least two")
-    scans = min(scans, len(error_m) - 1)
+    scans = min(checked_integer(scans, "scans", 1), len(error_m) - 1)
     growth = error_m[scans:] - error_m[:-scans]
     k = int(growth.argmax())
     return k + scans, float(growth[k])
 
 
+@checks_arguments
 def paired_clouds(
     flight: Flight, estimate: Estimate, truth: Truth, preprocess: PreprocessSettings, every: int = 4
 ) -> tuple[Array, Array]:
     """Points of one scan in ``every``, at the estimated and at the true poses: two clouds ``(N, 3)``, metres, world
     frame. Row k of both is the same return."""
+    every = checked_integer(every, "every", 1)
     true = truth.trajectory.at(flight.prior.stamp_s).T_world_drone
     estimated, shown = estimate.corrected.T_world_drone, range(0, len(flight.scans), every)
     T_drone_sensor = flight.T_drone_sensor

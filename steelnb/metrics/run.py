@@ -5,6 +5,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from steelnb.core.arguments import checks_arguments
 from steelnb.core.estimates import Estimate
 from steelnb.core.types import Array, Flight
 from steelnb.metrics.clouds import bend, largest_slip, paired_clouds
@@ -19,6 +20,7 @@ WRONG_SHARE = 0.05
 """A run with a larger share of falsely registered scans than this has converged wrongly."""
 
 
+@checks_arguments
 def score_estimate(estimate: Estimate, truth: Truth, blind_s: Sequence[tuple[float, float]] = ()) -> dict[str, float]:
     """The metrics of a run, with units in their names. ``blind_s``: begin and end of each gap without scans."""
     corrected, segments = estimate.corrected, estimate.segments
@@ -28,7 +30,7 @@ def score_estimate(estimate: Estimate, truth: Truth, blind_s: Sequence[tuple[flo
         "raw_error_final_m": raw["error_final_m"],
         **score_trajectory(corrected, truth.trajectory),
     }
-    if blind_s:
+    if np.size(blind_s):
         numbers |= score_gaps(corrected, truth.trajectory, blind_s)
     if len(segments):
         score = score_segments(segments, truth.tower.axes, observed=truth.visibility.observed())
@@ -42,6 +44,7 @@ def score_estimate(estimate: Estimate, truth: Truth, blind_s: Sequence[tuple[flo
     return numbers
 
 
+@checks_arguments
 def diagnose(flight: Flight, estimate: Estimate, truth: Truth, preprocess: PreprocessSettings) -> dict[str, float]:
     """Diagnostics of a run beside its metrics, NaN where they are not defined.
 

@@ -6,7 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from steelnb.core.checks import checked_array, checked_kind
+from steelnb.core.arguments import checks_arguments
+from steelnb.core.checks import checked_array, checked_number, checked_shape
 from steelnb.core.types import Array, IntArray, Segments
 from steelnb.simulation.truth import SCAN_RETURNS_MIN, SliceCounter, Visibility
 
@@ -93,6 +94,7 @@ class SegmentScore:
     offset_m: Array
 
 
+@checks_arguments
 def score_segments(
     segments: Segments,
     axes: Array,
@@ -106,9 +108,9 @@ def score_segments(
     cover at least half of it. A right segment is a duplicate if longer ones cover at least half of its interval.
 
     ``observed (M,)``: members that count for recall (`Visibility.observed`), default all. ``seen (M, 200)``: observed
-    parts of each member, from its first end to its second, which must be covered, default all.
+    parts of each member, from its first end to its second, which must be covered, default all. Raises `InputError`.
     """
-    checked_kind(segments, "segments", Segments)
+    angle_max_rad = checked_number(angle_max_rad, "angle_max_rad", 0, math.pi / 2)
     axes = checked_array(axes, "axes", ("M", 2, 3))
     match = match_members(segments, axes, angle_max_rad)
     right, length = match.right, np.linalg.norm(axes[:, 1] - axes[:, 0], axis=1)
@@ -120,7 +122,8 @@ def score_segments(
             parts = (grid >= low) & (grid <= high)
             duplicates += bool(parts.any() and covered[m, parts].mean() >= SHARE_MIN)
             covered[m] |= parts
-    seen = np.ones_like(covered) if seen is None else seen
+    seen = np.ones_like(covered) if seen is None else checked_shape(seen, "seen", covered.shape)
+    observed = None if observed is None else checked_shape(observed, "observed", (len(axes),))
     found = (covered & seen).sum(axis=1) >= np.maximum(SHARE_MIN * seen.sum(axis=1), 1)
     recall = share(found if observed is None else found[observed])
     return SegmentScore(recall, share(right), right, duplicates, match.angle_rad[right], match.offset_m[right])
@@ -155,7 +158,8 @@ def seen_members(axes: Array, points: Array, member: IntArray) -> SeenMembers:
     not visible from outside. A correct method finds a line in the middle of the visible surface, up to half a flange
     from it. A part is observed if it is within half of `GAP_MAX_M` of a point, along the axis.
     """
-    counter = SliceCounter(axes)
+    axes, points = checked_array(axes, "axes", ("M", 2, 3)), checked_array(points, "points", ("N", 3))
+    member, counter = checked_shape(member, "member", (len(points),)), SliceCounter(axes)
     points, member = points[member >= 0], member[member >= 0]
     counter.add(points, member)
     observed_axes, seen = axes.copy(), np.zeros((len(axes), PARTS), dtype=bool)

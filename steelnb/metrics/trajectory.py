@@ -4,7 +4,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from steelnb.core.checks import checked_kind
+from steelnb.core.arguments import checks_arguments
+from steelnb.core.checks import checked_array
 from steelnb.core.errors import InputError
 from steelnb.core.geometry import inverse_poses
 from steelnb.core.types import Array, Trajectory
@@ -15,13 +16,13 @@ RPE_S = 1.0
 """Time over which the relative pose error is measured."""
 
 
+@checks_arguments
 def position_error_m(estimate: Trajectory, truth: Trajectory) -> Array:
     """Distance ``(N,)`` between estimated and true position at the stamps of the estimate."""
-    for name, path in (("estimate", estimate), ("truth", truth)):
-        checked_kind(path, name, Trajectory)
     return np.asarray(np.linalg.norm(estimate.position - truth.at(estimate.stamp_s).position, axis=1))
 
 
+@checks_arguments
 def score_trajectory(estimate: Trajectory, truth: Trajectory) -> dict[str, float]:
     """Absolute trajectory error and relative pose error of an estimate, metres, as evo computes them.
 
@@ -46,6 +47,7 @@ def score_trajectory(estimate: Trajectory, truth: Trajectory) -> dict[str, float
     return {name: float(value) for name, value in result.items()}
 
 
+@checks_arguments
 def score_gaps(estimate: Trajectory, truth: Trajectory, blind_s: Sequence[tuple[float, float]]) -> dict[str, float]:
     """Position errors, metres, of a flight without scans in the intervals ``blind_s``.
 
@@ -55,7 +57,7 @@ def score_gaps(estimate: Trajectory, truth: Trajectory, blind_s: Sequence[tuple[
     error = position_error_m(estimate, truth)
     stamp = estimate.stamp_s
     inside, after = np.zeros(len(stamp), dtype=bool), np.zeros(len(stamp), dtype=bool)
-    for first, last in blind_s:
+    for first, last in checked_array(blind_s if np.size(blind_s) else np.zeros((0, 2)), "blind_s", ("N", 2)):
         inside |= (stamp >= first) & (stamp < last + GRACE_S)
         after |= (stamp >= last + GRACE_S) & (stamp < last + GRACE_S + 1.0)
     return {

@@ -5,6 +5,7 @@ from typing import ClassVar, Literal, NamedTuple
 
 import numpy as np
 
+from steelnb.core.arguments import checks_arguments
 from steelnb.core.geometry import transform_points
 from steelnb.core.types import Array, Imu, IntArray, Scan
 from steelnb.odometry.base import BaseOdometry, Outcome, Stopwatch
@@ -90,6 +91,7 @@ class CloudOdometry(BaseOdometry):
     inliers_min = INLIER_SHARE_MIN
     settings: RegistrationSettings | LoamSettings
 
+    @checks_arguments
     def __init__(
         self, settings: OdometrySettings | None = None, T_drone_sensor: Array | None = None, imu: Imu | None = None
     ) -> None:

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from steelnb.core.checks import checked_kind
+from steelnb.core.arguments import checks_arguments
 from steelnb.core.estimates import Estimate
 from steelnb.core.geometry import shift_of
 from steelnb.core.images import CameraImages
@@ -52,15 +52,16 @@ ODOMETRIES: dict[str, Callable[[Any, Parts], BaseOdometry]] = {
 """Family of settings → its odometry from the settings and the parts of a flight."""
 
 
+@checks_arguments
 def make_odometry(
     settings: OdometrySettings, T_drone_sensor: Array, imu: Imu | None = None, images: CameraImages | None = None
 ) -> BaseOdometry:
     """A new odometry of the settings' family; ``T_drone_sensor (4, 4)`` is the mount of the sensor. Families that have
     no use for ``imu`` or ``images`` ignore them. Raises `InputError`."""
-    checked_kind(settings, "settings", OdometrySettings, "OdometrySettings.preset")
     return ODOMETRIES[settings.family](settings, Parts(T_drone_sensor, imu, images))
 
 
+@checks_arguments
 def correct(
     flight: Flight,
     settings: OdometrySettings,
@@ -76,8 +77,6 @@ def correct(
     readings of an IMU do not fit the prior (`check_imu`).
 
     Poses far from zero, such as in UTM, are moved near it for the work (`shift_of`), and results are moved back."""
-    checked_kind(flight, "flight", Flight, "read_flight")
-    checked_kind(settings, "settings", OdometrySettings, "OdometrySettings.preset")
     origin = shift_of(flight.prior.position[0]) if len(flight) else np.zeros(3)
     if origin.any():
         near, near_before = flight.moved(-origin), before and before.moved(-origin)

@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
+from steelnb.core.arguments import checks_arguments
 from steelnb.core.checks import guess
 from steelnb.core.errors import InputError
 from steelnb.core.types import Flight
@@ -16,6 +17,7 @@ GIVEN = ("T_drone_sensor", "imu", "images")
 """Parts of a flight that the constructor of a user's odometry may take under these names."""
 
 
+@checks_arguments
 def load_odometry(name: str) -> Callable[..., Odometry]:
     """Load the class ``MODULE:CLASS`` from an installed module, or from one in the working directory.
 

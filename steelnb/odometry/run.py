@@ -6,7 +6,8 @@ from contextlib import contextmanager
 
 import numpy as np
 
-from steelnb.core.checks import checked_kind, checked_pose
+from steelnb.core.arguments import checks_arguments
+from steelnb.core.checks import checked_kind, checked_pose, shown
 from steelnb.core.errors import InputError
 from steelnb.core.estimates import Estimate, OdometryStep
 from steelnb.core.types import Flight, Scan, Segments, Trajectory
@@ -15,6 +16,7 @@ from steelnb.odometry.base import Odometry
 OnStep = Callable[[int, Scan, OdometryStep], None]
 
 
+@checks_arguments
 def run(flight: Flight, odometry: Odometry, on_step: OnStep | None = None, before: Flight | None = None) -> Estimate:
     """Correct a flight scan by scan; one scan is in memory at a time.
 
@@ -28,9 +30,8 @@ def run(flight: Flight, odometry: Odometry, on_step: OnStep | None = None, befor
     Raises `InputError` if other scans are read than the flight has poses for, and if an update returns no
     `OdometryStep` or one that is not valid; the message names the class and the scan.
     """
-    checked_kind(flight, "flight", Flight, "read_flight")
-    if not callable(getattr(odometry, "update", None)):
-        raise InputError(f"odometry = {odometry!r:.80}: expected an object with a method update, as of make_odometry")
+    if isinstance(odometry, type) or not callable(getattr(odometry, "update", None)):
+        raise InputError(f"odometry = {shown(odometry)}: expected an object with a method update, as of make_odometry")
     if before is not None:
         run(before, odometry)
     steps: list[OdometryStep] = []

@@ -4,6 +4,7 @@ from collections.abc import Callable, Iterable
 
 import numpy as np
 
+from steelnb.core.arguments import checks_arguments
 from steelnb.core.estimates import OdometryStep
 from steelnb.core.types import Array, Imu, Scan
 from steelnb.odometry import make_odometry
@@ -20,6 +21,7 @@ class OnboardPilot:
     of the flight.
     """
 
+    @checks_arguments
     def __init__(
         self, settings: ExperimentSettings, imu: Imu, on_progress: Callable[[float], None] | None = None
     ) -> None:

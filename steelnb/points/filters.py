@@ -4,7 +4,9 @@ import math
 
 import numpy as np
 
-from steelnb.core.checks import checked_kind, checked_points
+from steelnb.core.arguments import checks_arguments
+from steelnb.core.checks import checked_array, checked_number, checked_points
+from steelnb.core.errors import InputError
 from steelnb.core.kernels import njit
 from steelnb.core.types import Array, Scan
 from steelnb.points.voxel_kernels import find, hash_table, put
@@ -33,22 +35,21 @@ def crop(points, T_drone_sensor, lower, upper, up, height, floor):
     return kept[:count]
 
 
+@checks_arguments
 def voxel_grid(points: Array, leaf_m: float) -> Array:
     """Centroids ``(M, 3)`` of the points ``(N, 3)`` in each occupied voxel of edge ``leaf_m``, like PCL's VoxelGrid.
 
     Lengths in metres. Voxels are aligned with the origin, and centroids are sorted by voxel, so the order of the points
-    only affects rounding. Raises `InputError` for points of another shape or not finite, and ValueError if the leaf is
-    not positive or far too small.
+    only affects rounding. Raises `InputError` for points of another shape or not finite, and for a leaf that is not
+    positive or far too small.
     """
-    points = checked_points(points)
-    if not leaf_m > 0:
-        raise ValueError(f"leaf_m = {leaf_m}: expected a positive length in metres")
+    points, leaf_m = checked_points(points), checked_number(leaf_m, "leaf_m", above=0)
     if not len(points):
         return np.zeros((0, 3))
     coordinates = np.ascontiguousarray(points.T)  # rows have fast extremes
     low, high = np.floor(coordinates.min(axis=1) / leaf_m), np.floor(coordinates.max(axis=1) / leaf_m)
     if not np.prod(high - low + 1.0) < 2.0**62:
-        raise ValueError(f"leaf_m = {leaf_m}: expected a larger leaf, as one integer cannot number so many voxels")
+        raise InputError(f"leaf_m = {leaf_m}: expected a larger leaf, as one integer cannot number so many voxels")
     grouped, first = _group_by_voxel(points, leaf_m, low.astype(np.int64), (high - low + 1.0).astype(np.int64))
     count = np.diff(np.append(first, len(points)))
     return np.add.reduceat(grouped, first, axis=0) / count[:, None]
@@ -90,12 +91,16 @@ def _group_by_voxel(points, leaf_m, low, extent):
     return grouped, first
 
 
+@checks_arguments
 def preprocess_scan(scan: Scan, T_world_drone: Array, T_drone_sensor: Array, settings: PreprocessSettings) -> Array:
     """Cropped and voxel-filtered points ``(N, 3)`` of a scan in the drone frame, metres, without the floor.
 
     ``T_world_drone (4, 4)`` may be an estimate: it is only used to cut the floor at ``floor_m`` in the world frame.
+    Raises `InputError`.
     """
-    points = np.ascontiguousarray(checked_kind(scan, "scan", Scan).points).reshape(-1, 3)
+    points = np.ascontiguousarray(scan.points).reshape(-1, 3)
+    T_world_drone = checked_array(T_world_drone, "T_world_drone", (4, 4))
+    T_drone_sensor = checked_array(T_drone_sensor, "T_drone_sensor", (4, 4))
     upper = np.full(3, settings.crop_m)
     up, height = np.ascontiguousarray(T_world_drone[2, :3]), T_world_drone[2, 3]
     cropped = crop(points, T_drone_sensor, -upper, upper, up, height, settings.floor_m)

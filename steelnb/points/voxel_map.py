@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from steelnb.core.arguments import checks_arguments
 from steelnb.core.checks import checked_cloud, checked_number
 from steelnb.core.errors import InputError
 from steelnb.core.types import Array, IntArray
@@ -16,6 +17,7 @@ class VoxelMap:
     insertion depends on the size of the scan, not of the map. Raises `InputError`.
     """
 
+    @checks_arguments
     def __init__(self, voxel_m: float, accumulate: bool = True) -> None:
         self.voxel_m, self.accumulate = checked_number(voxel_m, "voxel_m", above=0), accumulate
         self._key = np.zeros(1 << 12, dtype=np.int64)

@@ -9,7 +9,8 @@ import numpy as np
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 
 from steelnb.core import rng
-from steelnb.core.checks import checked_kind, guess
+from steelnb.core.arguments import checks_arguments
+from steelnb.core.checks import checked_kind, guess, shown
 from steelnb.core.errors import InputError
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
@@ -81,7 +82,7 @@ def describe_fault(kind: type[Settings], fault: ValidationError) -> str:
         known, family = setting_names(kind), getattr(kind, "family", None)
         has = f"the family {family!r} has" if family else "expected one of"
         message = f"unknown setting{guess(name, known)}; {has} {', '.join(known)}"
-    return f"{kind.__name__}: {name} = {first['input']!r:.{_SHOWN}}: {message}"
+    return f"{kind.__name__}: {name} = {shown(first['input'], _SHOWN)}: {message}"
 
 
 def as_tuples(value: Any) -> Any:
@@ -110,6 +111,7 @@ def setting_names(kind: type[Settings]) -> list[str]:
     return names
 
 
+@checks_arguments
 def parse_parameter(text: str) -> tuple[str, Any]:
     """Parse ``NAME=VALUE``: the value is a Python literal, else a TOML value, else text. Raises `InputError`."""
     name, equals, value = (piece.strip() for piece in text.partition("="))

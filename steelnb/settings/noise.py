@@ -4,7 +4,7 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
-from steelnb.core.checks import guess, quoted
+from steelnb.core.checks import checked_number, guess, quoted, shown
 from steelnb.core.errors import InputError
 
 
@@ -23,6 +23,10 @@ class Noise:
     yaw_random_walk_rad: float = 0.0
     tilt_rad: float = 0.0
 
+    def __post_init__(self) -> None:
+        for name, level in vars(self).items():
+            checked_number(level, f"Noise.{name}", 0)
+
     @classmethod
     def parse(cls, text: str) -> "Noise":
         """Parse ``random-walk``, ``constant-drift:0.0002`` or sums such as ``random-walk+yaw-random-walk:0.001``.
@@ -33,7 +37,7 @@ class Noise:
         Noise(random_walk_m=0.002, constant_drift_m=0.0, yaw_random_walk_rad=0.001, tilt_rad=0.0)
         """
         if not isinstance(text, str):
-            raise InputError(f"noise = {text!r}: expected a text such as 'random-walk:0.002'")
+            raise InputError(f"noise = {shown(text)}: expected a text such as 'random-walk:0.002'")
         values: dict[str, Any] = {}
         for part in [] if text == "none" else text.split("+"):
             name, _, level = part.strip().partition(":")

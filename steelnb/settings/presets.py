@@ -6,7 +6,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar
 
-from steelnb.core.checks import guess, quoted
+from steelnb.core.checks import guess, quoted, shown
 from steelnb.core.errors import InputError
 from steelnb.core.files import reading
 from steelnb.settings.base import Settings, as_tuples
@@ -27,7 +27,7 @@ def read_tables(path: Path, kind: type[S], expected: str) -> dict[str, S]:
     found = {}
     for name, table in read_toml(path, expected).items():
         if not isinstance(table, dict):
-            raise InputError(f"{path}: [{name}]: {table!r}: expected a table")
+            raise InputError(f"{path}: [{name}]: {shown(table)}: expected a table")
         try:
             found[name] = kind(**table)
         except InputError as fault:
@@ -44,7 +44,7 @@ def sensor_preset(sensor: str) -> dict[str, Any]:
         own = dict(_preset(f"sensors/{sensor}"))
     else:
         near = guess(sensor, SENSORS)
-        raise InputError(f"sensor = {sensor!r}{near}; expected one of {quoted(SENSORS)}, or a file FILE.toml")
+        raise InputError(f"sensor = {shown(sensor)}{near}; expected one of {quoted(SENSORS)}, or a file FILE.toml")
     base = own.pop("based_on", None)
     if base is None:
         return own
@@ -58,7 +58,7 @@ def preset_table(file: str, kind: str, name: str) -> dict[str, Any]:
     ``kind``: what messages call the name. Raises `InputError`."""
     if not isinstance(name, str) or name not in _preset(file):
         known = _preset(file)
-        raise InputError(f"{kind} = {name!r}{guess(name, known)}; expected one of {quoted(known)}")
+        raise InputError(f"{kind} = {shown(name)}{guess(name, known)}; expected one of {quoted(known)}")
     return _preset(file)[name]
 
 

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from steelnb.core import rng
+from steelnb.core.arguments import checks_arguments
 from steelnb.core.images import CameraImages, GreyImage
 from steelnb.core.types import Array, Floats, IntArray, Trajectory
 from steelnb.settings import CameraSettings
@@ -50,6 +51,7 @@ FORWARD = FORWARD.replace(fov_vertical_rad=2 * math.atan(FORWARD.rows / (2 * foc
 """The forward camera of the report's drone, with square pixels and a global shutter."""
 
 
+@checks_arguments
 def photograph(tower: Tower, trajectory: Trajectory, camera: CameraSettings, seed: rng.Seed) -> CameraImages:
     """Images along a true trajectory, each rendered on access.
 

@@ -12,6 +12,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from steelnb.core import rng
+from steelnb.core.arguments import checks_arguments
 from steelnb.core.errors import CollisionError
 from steelnb.core.types import GRAVITY, Array, Imu, Trajectory
 from steelnb.settings import FlightSettings
@@ -51,6 +52,7 @@ flight."""
 STILL = (0.0, 0.0, 0.0)
 
 
+@checks_arguments
 def fly(tower: Tower, settings: FlightSettings, seed: rng.Seed, pilot: Pilot | None = None) -> tuple[Trajectory, Imu]:
     """True trajectory and noise-free IMU of a flight along the path of the settings, both at 125 Hz from t = 0.
 

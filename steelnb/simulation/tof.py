@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from steelnb.core import rng
+from steelnb.core.arguments import checks_arguments
 from steelnb.core.range_scans import RangeScans
 from steelnb.core.types import Array, IntArray, Scan, Trajectory
 from steelnb.settings import TofSettings
@@ -22,6 +23,7 @@ AMPLITUDE_SCATTER = 0.1
 """Relative standard deviation of a driver's noise estimate, which comes from a pixel's measured amplitude."""
 
 
+@checks_arguments
 def scan_flight(
     tower: Tower, trajectory: Trajectory, settings: TofSettings, seed: rng.Seed
 ) -> tuple[RangeScans, Visibility]:

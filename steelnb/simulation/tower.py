@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from steelnb.core.arguments import checks_arguments
 from steelnb.core.types import Array, IntArray
 from steelnb.settings import TowerSettings
 from steelnb.settings.tower import Kind
@@ -36,6 +37,7 @@ class Tower:
         return self.vertices[self.triangles[self.triangle_member == ON_PLATE]]
 
 
+@checks_arguments
 def build_tower(settings: TowerSettings | None = None) -> Tower:
     """The tower of the settings (default: the preset ``tapered``), standing on z = 0 of the world frame, metres.
 

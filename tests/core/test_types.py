@@ -1,6 +1,7 @@
 """The types refuse what their docstrings exclude, and say in a line what they hold."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -8,12 +9,13 @@ import pytest
 from steelnb.core.errors import InputError
 from steelnb.core.estimates import Estimate, OdometryStep
 from steelnb.core.range_scans import RangeScans
-from steelnb.core.types import Flight, Imu, Scan, Segments, Trajectory
+from steelnb.core.types import Flight, Imu, Lines, Scan, Segments, Trajectory
 from steelnb.fusion.structure import Structure
 
 K = 5
 STAMP_S, POSES, CLOUD = np.arange(K) + 1.7e9, np.tile(np.eye(4), (K, 1, 1)), np.ones((7, 3))
 PATH = Trajectory(STAMP_S, POSES)
+SEGMENTS = Segments(np.zeros((2, 3)), np.eye(3)[:2], np.ones(2), np.ones(2))
 SCANS = [Scan(s, CLOUD) for s in STAMP_S]
 
 
@@ -65,6 +67,11 @@ def estimate(**change):
         (lambda: estimate(update_s=np.zeros(4)), r"Estimate.update_s: .*expected \(5,\)"),
         (lambda: estimate(seconds={"a": np.zeros(4)}), r"Estimate.seconds\['a'\]"),
         (lambda: estimate(reason=("",)), "Estimate.reason: 1; expected 5"),
+        (lambda: Segments(CLOUD, CLOUD[:6], np.ones(7), np.ones(7)), r"Segments.end: .*\(6, 3\); expected .*\(7, 3\)"),
+        (lambda: Segments(CLOUD, CLOUD, np.ones(7), None), "Segments.radius: None"),
+        (lambda: Lines(CLOUD, CLOUD, np.ones((7, 1)), np.zeros(9, int)), r"Lines.count: .*expected an array \(7,\)"),
+        (lambda: Structure.of(None), "bars = None: expected Segments"),
+        (lambda: replace(Structure.of(SEGMENTS), width_m=np.ones(3)), "Structure.width_m: 3; expected 2, one a bar"),
     ],
 )  # fmt: skip
 def test_values_that_the_docstrings_exclude_are_refused_in_one_line(make, says):

@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from steelnb.core.errors import InputError
 from steelnb.core.types import Scan
 from steelnb.points import preprocess_scan, voxel_grid
 from steelnb.points.filters import crop
@@ -43,5 +44,5 @@ def test_voxel_grid_equals_its_slow_twin(leaf_m):
 
 @pytest.mark.parametrize("leaf_m", [0.0, -1.0, np.nan, 1e-7])
 def test_voxel_grid_refuses_a_leaf_that_is_not_positive_or_far_too_small(leaf_m):
-    with pytest.raises(ValueError, match="leaf_m"):
+    with pytest.raises(InputError, match="leaf_m"):
         voxel_grid(np.array([[0.0, 0, 0], [1, 1, 1]]), leaf_m)

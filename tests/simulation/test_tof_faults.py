@@ -1,5 +1,6 @@
 """Faults of a real Time-of-Flight camera, on walls about a sensor at (0, 0, 5) that looks along x."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -163,12 +164,11 @@ def test_motion_blurs_edges_but_not_a_plane_along_it():
 def test_exposures_are_centred_on_the_stamps():
     """Towards a wall at 2 m/s: the range is that in the middle of the exposure."""
     trajectory = moving(np.array([2.0, 0.0, 0.0]))
-    tower = SimpleNamespace(
+    tower = replace(
+        TOWER,
         vertices=np.array([(4.0, -6, 0), (4, 6, 0), (4, 6, 10), (4, -6, 10)]),
         triangles=np.array([(0, 1, 2), (0, 2, 3)]),
         triangle_member=np.zeros(2, int),
-        axes=np.array([[(4.0, 0, 0), (4.0, 0, 10)]]),
-        settings=TOWER.settings,
     )
     blurred, sharp = (scan_flight(tower, trajectory, SMALL.replace(faults=each), 1)[0] for each in (("exposure",), ()))
     np.testing.assert_allclose(blurred.range_m[1:], sharp.range_m[1:], atol=5e-4)  # half the exposure is 30 mm

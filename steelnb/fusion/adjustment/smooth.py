@@ -7,7 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from steelnb.core.checks import check_same_stamps, checked_kind, checked_number
+from steelnb.core.arguments import checks_arguments
+from steelnb.core.checks import check_same_stamps, checked_number
 from steelnb.core.errors import InputError
 from steelnb.core.estimates import Estimate
 from steelnb.core.geometry import shift_of
@@ -26,6 +27,7 @@ BARS_MIN = 3
 """Minimum number of bars with a section."""
 
 
+@checks_arguments
 def smooth(
     flight: Flight,
     estimate: Estimate,
@@ -53,9 +55,6 @@ def smooth(
     not of the flight. Poses far from zero are moved near it for the work (`shift_of`).
     """
     settings = StructureSettings() if settings is None else settings
-    checked_kind(flight, "flight", Flight, "read_flight")
-    checked_kind(estimate, "estimate", Estimate, "odometry.correct")
-    checked_kind(settings, "settings", StructureSettings)
     tilt_sigma_rad = checked_number(tilt_sigma_rad, "tilt_sigma_rad", 0.0)
     check_same_stamps(estimate.corrected.stamp_s, "estimate", flight.prior.stamp_s, "the scans of the flight")
     origin = shift_of(flight.prior.position[0]) if len(flight) else np.zeros(3)

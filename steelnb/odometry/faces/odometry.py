@@ -14,6 +14,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 
 import numpy as np
 
+from steelnb.core.arguments import checks_arguments
 from steelnb.core.geometry import UPRIGHT_DOF, information_at, moved_poses, pose_step
 from steelnb.core.types import Array, Imu, Scan, Segments
 from steelnb.fusion.adjustment.drift_factors import (
@@ -58,6 +59,7 @@ class FaceOdometry(BaseOdometry):
     stages = (*CloudOdometry.stages, "refit")
     settings: FaceSettings
 
+    @checks_arguments
     def __init__(
         self, settings: OdometrySettings | None = None, T_drone_sensor: Array | None = None, imu: Imu | None = None
     ) -> None:

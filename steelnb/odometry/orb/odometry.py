@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from steelnb.core.arguments import checks_arguments
 from steelnb.core.geometry import transform_points
 from steelnb.core.images import CameraImages, GreyImage, unproject
 from steelnb.core.types import Array, Imu, IntArray, Scan
@@ -82,6 +83,7 @@ class OrbOdometry(BaseOdometry):
     stages = "features", "track", "map"
     settings: OrbSettings
 
+    @checks_arguments
     def __init__(
         self,
         settings: OdometrySettings | None = None,
