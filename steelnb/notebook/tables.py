@@ -106,7 +106,7 @@ def column_head(name: str) -> str:
 
 
 def readable(rows: pd.DataFrame, columns: Sequence[str] | None = None, digits: int = 3) -> pd.DataFrame:
-    """Some ``columns`` of a table for display: rounded, counts as integers, and words as heads (`column_head`). The table
+    """Some ``columns`` of a table for display: rounded, counts as integers, words as heads (`column_head`). The table
     itself, which files are written from, stays as it is."""
     shown = rows if columns is None else rows[list(columns)]
     whole = [name for name in shown.select_dtypes("number") if (shown[name].dropna() % 1 == 0).all()]
