@@ -29,7 +29,7 @@ HEADS = {
     "expected_rms": "RMS of the model", "rms": "RMS of the seeds", "share_above_1": "seeds beyond 1 (share)",
     "report_seed": "the report's seed", "report_plot": "the report's plot",
     "share_below": "below the report (share)", "yaw_max_deg": "largest yaw (°)", "offset_max_m": "largest offset (m)",
-    "blur_mean_m": "mean blur (m)", "height_max_m": "largest height (m)",
+    "blur_mean_m": "mean blur (m)", "max_correspondence_m": "pairs within (m)", "height_max_m": "largest height (m)",
 }  # fmt: skip
 """Heads of columns of which `column_head` would make other words."""
 
