@@ -45,7 +45,8 @@ def checks_arguments(function: Callable[P, R]) -> Callable[P, R]:
     Classes, their unions, literals, functions, tables, texts, paths, flags and numbers are checked. Ranges, arrays and
     the items of sequences are not: the function checks these itself (`checks`). The checks take about 1 µs a call.
     """
-    parameters = list(inspect.signature(function).parameters)
+    named = inspect.getfullargspec(inspect.unwrap(function))
+    parameters = [*named.args, *named.kwonlyargs]
     tests: dict[str, Test] = {}  # filled by the first call, when all modules are loaded
 
     @functools.wraps(function)
