@@ -6,7 +6,19 @@ from typing import Literal
 import numpy as np
 import pytest
 
-from steelnb import experiment, fusion, hough, metrics, odometry, planning, points, registration, settings, simulation
+from steelnb import (
+    experiment,
+    fusion,
+    hough,
+    io,
+    metrics,
+    odometry,
+    planning,
+    points,
+    registration,
+    settings,
+    simulation,
+)
 from steelnb.core import rng
 from steelnb.core.arguments import checks_arguments
 from steelnb.core.errors import InputError
@@ -123,6 +135,12 @@ def test_clouds_of_another_kind(take, cloud):
         (lambda: simulation.build_tower("tapered"), "settings = 'tapered': expected TowerSettings or None"),
         (lambda: simulation.fly(None, PLANNED, 1), "tower = None: expected Tower, as from build_tower"),
         (lambda: experiment.simulate(FLIGHT), "settings = Flight: expected ExperimentSettings"),
+        (lambda: io.read_cloud(None), "path = None: expected a path or a text"),
+        (lambda: io.read_flight(3), "path = 3: expected a path or a text"),
+        (lambda: io.read_flight("flight.bag", clock=1), "clock = 1: expected a text"),
+        (lambda: io.read_truth(b"flight.bag"), "path = bytes: expected a path or a text"),
+        (lambda: io.write_flight("flight.mcap", None), "flight = None: expected Flight, as from read_flight"),
+        (lambda: io.write_structure(Segments.empty(), "bars.json"), "structure = .*: expected Structure"),
         (lambda: FLIGHT.first(-1), "count = -1"),
         (lambda: FLIGHT.prior.moved("far"), "by: str"),
         (lambda: FLIGHT.prior.between([NAN]), r"stamp_s\[0\] = nan"),
