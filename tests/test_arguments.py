@@ -6,11 +6,24 @@ from typing import Literal
 import numpy as np
 import pytest
 
-from steelnb import experiment, fusion, hough, metrics, odometry, planning, points, registration, settings, simulation
+from steelnb import (
+    experiment,
+    fusion,
+    hough,
+    io,
+    metrics,
+    odometry,
+    planning,
+    points,
+    registration,
+    settings,
+    simulation,
+)
 from steelnb.core import rng
 from steelnb.core.arguments import checks_arguments
 from steelnb.core.errors import InputError
 from steelnb.core.estimates import OdometryStep
+from steelnb.core.kernels import compiling
 from steelnb.core.types import Flight, Scan, Segments, Trajectory
 from steelnb.hough.alternatives.methods import find_bars_by
 
@@ -123,6 +136,12 @@ def test_clouds_of_another_kind(take, cloud):
         (lambda: simulation.build_tower("tapered"), "settings = 'tapered': expected TowerSettings or None"),
         (lambda: simulation.fly(None, PLANNED, 1), "tower = None: expected Tower, as from build_tower"),
         (lambda: experiment.simulate(FLIGHT), "settings = Flight: expected ExperimentSettings"),
+        (lambda: io.read_cloud(None), "path = None: expected a path or a text"),
+        (lambda: io.read_flight(3), "path = 3: expected a path or a text"),
+        (lambda: io.read_flight("flight.bag", clock=1), "clock = 1: expected a text"),
+        (lambda: io.read_truth(b"flight.bag"), "path = bytes: expected a path or a text"),
+        (lambda: io.write_flight("flight.mcap", None), "flight = None: expected Flight, as from read_flight"),
+        (lambda: io.write_structure(Segments.empty(), "bars.json"), "structure = .*: expected Structure"),
         (lambda: FLIGHT.first(-1), "count = -1"),
         (lambda: FLIGHT.prior.moved("far"), "by: str"),
         (lambda: FLIGHT.prior.between([NAN]), r"stamp_s\[0\] = nan"),
@@ -153,6 +172,31 @@ def test_arguments_are_compared_with_annotations_by_place_and_by_name():
             takes(*args, **named)
     with pytest.raises(TypeError, match="missing"):
         takes()
+
+
+def test_numbers_become_those_of_python_so_that_no_kernel_is_compiled_anew():
+    @checks_arguments
+    def kinds(one: float, two: int = 1, three: float | None = None, four: bool = False):
+        return [type(each) for each in (one, two, three, four)]
+
+    assert kinds(1, np.int32(2), np.float32(3), np.True_) == [float, int, float, bool]
+    assert kinds(three=2, one=np.float64(1)) == [float, int, float, bool]
+    assert kinds(1)[2] is type(None)
+    with pytest.raises(TypeError):
+        kinds(1, 2, 3, True, 5)
+
+
+def test_integers_compile_nothing_that_floats_have_not():
+    registration.register(CLOUD, CLOUD, max_correspondence_m=0.5, robust_scale=2.0)
+    hough.detect_segments(CLOUD, 0.5, gap_max=0.5, radius_max=0.2, density_min=0.5, length_min=0.1)
+    before = compiling.count
+    for kind in (int, np.float32, np.int64):
+        one = kind(1)
+        registration.register(CLOUD, CLOUD, max_correspondence_m=one, robust_scale=one, translation_epsilon_m=one)
+        hough.detect_segments(CLOUD, one, gap_max=one, radius_max=one, density_min=one, length_min=one)
+        points.VoxelMap(one).insert(CLOUD)
+        points.voxel_grid(CLOUD, one)
+    assert compiling.count == before
 
 
 def test_numbers_of_numpy_are_numbers():

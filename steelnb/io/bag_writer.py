@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from steelnb.core.arguments import checks_arguments
 from steelnb.core.errors import InputError, OutputError
 from steelnb.core.files import new_folder
 from steelnb.core.types import Array, Flight, Trajectory
@@ -33,6 +34,7 @@ def check_target(path: Path, overwrite: bool = False) -> None:
         raise OutputError(f"{path}: exists already; expected a new name, or --force to overwrite a file")
 
 
+@checks_arguments
 def write_flight(
     path: Path | str,
     flight: Flight,

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from steelnb.core.arguments import checks_arguments
 from steelnb.core.errors import InputError
 from steelnb.core.files import reading
 from steelnb.core.geometry import shift_of
@@ -54,6 +55,7 @@ class Cloud:
         return len(self.points)
 
 
+@checks_arguments
 def read_cloud(path: Path | str) -> Cloud:
     """Read the points of a NPY, PLY, PCD, LAS, LAZ or text file (XYZ, TXT, CSV, ASC, PTS), chosen by the suffix.
 
@@ -78,6 +80,7 @@ def read_cloud(path: Path | str) -> Cloud:
     return Cloud(shifted, origin, len(points) - len(finite), len(finite) - len(distinct))
 
 
+@checks_arguments
 def read_points(path: Path | str) -> Array:
     """Points of one file, float64, metres: ``(N, 3)``, or ``(H, W, 3)`` of an organised cloud (PCD, NPY).
 
@@ -144,6 +147,7 @@ READERS: Mapping[str, Callable[[Path], Any]] = {
 """Reader of each suffix."""
 
 
+@checks_arguments
 def write_map(path: Path | str, points: Array, bar: IntArray) -> None:
     """Write points ``(N, 3)`` in metres, and the bar ``(N,)`` of each as the property ``bar``, to a binary
     little-endian PLY file. Coordinates are doubles, so that UTM keeps its millimetres."""

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
+from steelnb.core.arguments import checks_arguments
 from steelnb.core.errors import InputError
 from steelnb.core.files import display_name
 from steelnb.core.types import Array, Flight, IntArray, Scan, Trajectory
@@ -24,6 +25,7 @@ FAR_M = 1e6
 _REMEDY = "expected one clock (--time-offset SECONDS shifts scans, --clock bag takes the times of recording)"
 
 
+@checks_arguments
 def read_flight(
     path: Path | str,
     *,
@@ -100,6 +102,7 @@ def _check_scans(path: Path, scans: "Scans") -> None:
     raise InputError(f"{path}: none of {len(scans)} scans can be read; the first: {first}")
 
 
+@checks_arguments
 def read_truth(path: Path | str, *, truth: str | None = None) -> Trajectory | None:
     """True poses of the drone for evaluation, or None if unknown.
 

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from steelnb.core.arguments import checks_arguments
 from steelnb.core.types import Array, Segments
 from steelnb.fusion.structure import Structure
 
@@ -16,6 +17,7 @@ COLUMNS = (
 )  # fmt: skip
 
 
+@checks_arguments
 def write_segments(
     segments: Segments, path: Path | str, sigma_m: Array | None = None, more: Mapping[str, Array] | None = None
 ) -> None:
@@ -33,6 +35,7 @@ def write_segments(
     table.to_csv(path, index=False, float_format="%.4f", lineterminator="\n")
 
 
+@checks_arguments
 def write_structure(structure: Structure, path: Path | str, about: Mapping[str, Any] | None = None) -> None:
     """Write bars, joints and the ties between them as JSON with all digits, one per line; null if unknown.
 

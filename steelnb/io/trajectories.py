@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from steelnb.core.arguments import checks_arguments
 from steelnb.core.checks import SAME_S
 from steelnb.core.errors import InputError
 from steelnb.core.files import reading
@@ -35,6 +36,7 @@ ROLES = {
 """Patterns of the names of columns for each number of a pose, the preferred first."""
 
 
+@checks_arguments
 def read_trajectory(path: Path | str, skipped: Counter[str] | None = None) -> Trajectory:
     """Read the poses of a text file, in metres.
 
@@ -139,6 +141,7 @@ def _stamp_columns(table: Table) -> list[int]:
     return []
 
 
+@checks_arguments
 def write_tum(path: Path | str, trajectory: Trajectory) -> None:
     """Write a TUM file: ``stamp x y z qx qy qz qw`` with all digits."""
     xyzw = Rotation.from_matrix(trajectory.T_world_drone[:, :3, :3]).as_quat(canonical=True)

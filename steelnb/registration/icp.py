@@ -60,11 +60,11 @@ def register(
     """
     checked_choice(method, "method", ERROR_OF)
     checked_choice(dof, "dof", FREE)
-    checked_number(max_correspondence_m, "max_correspondence_m", above=0)
-    checked_number(robust_scale, "robust_scale", above=0, infinite=True)
-    checked_integer(iterations_max, "iterations_max", 1)
-    checked_number(rotation_epsilon_rad, "rotation_epsilon_rad", above=0)
-    checked_number(translation_epsilon_m, "translation_epsilon_m", above=0)
+    max_correspondence_m = checked_number(max_correspondence_m, "max_correspondence_m", above=0)
+    robust_scale = checked_number(robust_scale, "robust_scale", above=0, infinite=True)
+    iterations_max = checked_integer(iterations_max, "iterations_max", 1)
+    rotation_epsilon_rad = checked_number(rotation_epsilon_rad, "rotation_epsilon_rad", above=0)
+    translation_epsilon_m = checked_number(translation_epsilon_m, "translation_epsilon_m", above=0)
     error, free = ERROR_OF[method], FREE[dof]
     T = np.eye(4) if T_init is None else checked_pose(T_init, "T_init")
     points = finite(source, "source")
