@@ -16,20 +16,21 @@ CLOUD_CASE = ("trajectory", "noise", "method", "map")
 UNITS = {name: name for name in ("m", "cm", "mm", "s", "ms", "rad")} | {"deg": "°", "share": "share"}
 """Last word of a column's name → its unit as the head of a table shows it."""
 HEADS = {
-    "ate_rmse_m": "ATE (m)", "raw_ate_rmse_m": "ATE uncorrected (m)", "error_mean_m": "mean error (m)",
-    "error_max_m": "largest error (m)", "error_final_m": "error at the end (m)", "mean_m": "mean error (m)",
-    "max_m": "largest error (m)", "final_m": "error at the end (m)", "raw_error_final_m": "uncorrected at the end (m)",
+    "ate_rmse_m": "ATE (m)", "raw_ate_rmse_m": "ATE uncorrected (m)", "raw_error_final_m": "uncorrected at the end (m)",
+    "error_mean_m": "mean error (m)", "error_max_m": "largest error (m)", "error_final_m": "error at the end (m)",
+    "mean_m": "mean error (m)", "max_m": "largest error (m)", "final_m": "error at the end (m)",
     "report_mean_m": "report's mean (m)", "report_max_m": "report's largest (m)", "report_final_m": "report's end (m)",
-    "flown_s": "flown (s)", "few_share": "scans without sight (share)",
-    "no_pair_share": "scans without a pair (share)", "ate_mean_m": "mean ATE (m)", "ate_worst_m": "largest ATE (m)",
-    "drift_mean_m": "mean drift (m)", "offset_median_m": "offset, median (m)", "offset_p90_m": "offset, 90 % (m)",
-    "angle_median_deg": "angle, median (°)", "end_median_m": "ends off, median (m)", "q25_m": "25 % (m)",
-    "q75_m": "75 % (m)", "joint_error_median_m": "joints off, median (m)", "median_ms": "time (ms)",
-    "edge_recall": "recall of edges", "edge_precision": "precision of edges", "joint_recall": "recall of joints",
-    "expected_rms": "RMS of the model", "rms": "RMS of the seeds", "share_above_1": "seeds beyond 1 (share)",
+    "ate_mean_m": "mean ATE (m)", "ate_worst_m": "largest ATE (m)", "drift_mean_m": "mean drift (m)",
+    "share_below": "below the report (share)", "share_above_1": "seeds beyond 1 (share)",
+    "expected_rms": "RMS of the model", "rms": "RMS of the seeds",
     "report_seed": "the report's seed", "report_plot": "the report's plot",
-    "share_below": "below the report (share)", "yaw_max_deg": "largest yaw (°)", "offset_max_m": "largest offset (m)",
-    "blur_mean_m": "mean blur (m)", "max_correspondence_m": "pairs within (m)", "height_max_m": "largest height (m)",
+    "yaw_max_deg": "largest yaw (°)", "offset_max_m": "largest offset (m)", "blur_mean_m": "mean blur (m)",
+    "height_max_m": "largest height (m)", "max_correspondence_m": "pairs within (m)", "median_ms": "time (ms)",
+    "few_share": "scans without sight (share)", "no_pair_share": "scans without a pair (share)",
+    "seen_share": "steel seen (share)", "q25_m": "25 % (m)", "q75_m": "75 % (m)",
+    "joint_recall": "recall of joints", "edge_recall": "recall of edges", "edge_precision": "precision of edges",
+    "offset_median_m": "offset, median (m)", "offset_p90_m": "offset, 90 % (m)", "end_median_m": "ends off, median (m)",
+    "angle_median_deg": "angle, median (°)", "joint_error_median_m": "joints off, median (m)",
 }  # fmt: skip
 """Heads of columns of which `column_head` would make other words."""
 
