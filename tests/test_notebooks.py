@@ -13,12 +13,15 @@ import pytest
 
 from steelnb.notebook.claims import read_claims
 from workflow.experiments import first_parts, make_parts
-from workflow.run_notebooks import cache_folder, run
+from workflow.run_notebooks import EXECUTED, cache_folder, part_folder, run
 from workflow.write_results import merge
 
 ROOT = Path(__file__).parents[1]
 NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
 LINES_MAX, CELL_LINES_MAX = 95, 15  # imports name three rooms
+COLUMNS_MAX = 12  # of a table, with its index: as many as JupyterLab shows beside its list of files at 1300 px
+OTHER_HEADS = {"honest-sensors", "literature", "claims", "explore"}
+"""Experiments whose notebooks show columns by the names that their files have."""
 
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
@@ -70,6 +73,18 @@ def test_every_figure_has_colours_and_is_committed(smoke):
         least = 0.0005 if path.parent.name == "claims" else 0.001  # intervals are few thin lines
         assert coloured.mean() > least, path
         assert (ROOT / "results" / path.relative_to(smoke)).is_file(), path
+
+
+def test_tables_beside_the_figures_have_few_columns_and_words_as_heads(smoke):
+    cache = cache_folder(ROOT, ROOT / "results-smoke")
+    for part in first_parts(make_parts(ROOT, [], "smoke")):
+        notebook = nbformat.read(part_folder(cache, part) / EXECUTED, as_version=4)
+        outputs = [output for cell in notebook.cells for output in cell.get("outputs", [])]
+        for html in (output["data"]["text/html"] for output in outputs if "text/html" in output.get("data", {})):
+            head, _, body = html.partition("</thead>")
+            assert max((len(re.findall("<t[dh]", row)) for row in body.split("<tr")), default=0) <= COLUMNS_MAX, part.id
+            if part.id not in OTHER_HEADS:
+                assert not re.search(r"<th[^>]*>\w+_\w+</th>", head), (part.id, head)
 
 
 def test_the_world_notebook_finds_the_drift_of_the_model(results):

@@ -13,6 +13,26 @@ CASE_COLUMNS = ("trajectory", "noise", "method", "sensor", "seed")
 """The columns of `case_of`."""
 CLOUD_CASE = ("trajectory", "noise", "method", "map")
 """Columns that identify a run of a point-cloud odometry."""
+UNITS = {name: name for name in ("m", "cm", "mm", "s", "ms", "rad")} | {"deg": "°", "share": "share"}
+"""Last word of a column's name → its unit as the head of a table shows it."""
+HEADS = {
+    "ate_rmse_m": "ATE (m)", "raw_ate_rmse_m": "ATE uncorrected (m)", "raw_error_final_m": "uncorrected at the end (m)",
+    "error_mean_m": "mean error (m)", "error_max_m": "largest error (m)", "error_final_m": "error at the end (m)",
+    "mean_m": "mean error (m)", "max_m": "largest error (m)", "final_m": "error at the end (m)",
+    "report_mean_m": "report's mean (m)", "report_max_m": "report's largest (m)", "report_final_m": "report's end (m)",
+    "ate_mean_m": "mean ATE (m)", "ate_worst_m": "largest ATE (m)", "drift_mean_m": "mean drift (m)",
+    "share_below": "below the report (share)", "share_above_1": "seeds beyond 1 (share)",
+    "expected_rms": "RMS of the model", "rms": "RMS of the seeds",
+    "report_seed": "the report's seed", "report_plot": "the report's plot",
+    "yaw_max_deg": "largest yaw (°)", "offset_max_m": "largest offset (m)", "blur_mean_m": "mean blur (m)",
+    "height_max_m": "largest height (m)", "max_correspondence_m": "pairs within (m)", "median_ms": "time (ms)",
+    "few_share": "scans without sight (share)", "no_pair_share": "scans without a pair (share)",
+    "seen_share": "steel seen (share)", "q25_m": "25 % (m)", "q75_m": "75 % (m)",
+    "joint_recall": "recall of joints", "edge_recall": "recall of edges", "edge_precision": "precision of edges",
+    "offset_median_m": "offset, median (m)", "offset_p90_m": "offset, 90 % (m)", "end_median_m": "ends off, median (m)",
+    "angle_median_deg": "angle, median (°)", "joint_error_median_m": "joints off, median (m)",
+}  # fmt: skip
+"""Heads of columns of which `column_head` would make other words."""
 
 
 def case_of(settings: ExperimentSettings) -> dict[str, Any]:
@@ -78,6 +98,34 @@ def timing(results: Sequence[experiment.Result]) -> pd.DataFrame:
         for result in results
         for stage, times in stage_times(result).items()
     )
+
+
+def column_head(name: str) -> str:
+    """The head of a column for a reader: words, and the unit in brackets. ``basin_radius_m`` is *basin radius (m)*."""
+    words, _, unit = name.rpartition("_")
+    return HEADS.get(name) or (f"{words} ({UNITS[unit]})" if words and unit in UNITS else name).replace("_", " ")
+
+
+def readable(rows: pd.DataFrame, columns: Sequence[str] | None = None, digits: int = 3) -> pd.DataFrame:
+    """Some ``columns`` of a table for display: rounded, counts as integers, words as heads (`column_head`). The table
+    itself, which files are written from, stays as it is."""
+    shown = rows if columns is None else rows[list(columns)]
+    whole = [name for name in shown.select_dtypes("number") if (shown[name].dropna() % 1 == 0).all()]
+    counts = {name: "Int64" for name in whole if (shown[name].abs() > 1).any()}  # a share may be 1 everywhere
+    shown = shown.astype(counts).round(digits)
+    return shown.rename(columns=column_head).rename_axis(index=lambda name: column_head(name) if name else None)
+
+
+def shared_seeds(runs: pd.DataFrame, by: Sequence[str]) -> pd.DataFrame:
+    """The runs by which the methods of a case may be compared, since each flew all of their seeds. ``by`` names the
+    columns of a case. Where no seed has all methods, those seeds are kept that most methods share."""
+    kept = []
+    for _, case in runs.groupby(list(by), observed=True, sort=False):
+        flown = case.groupby("seed")["method"].agg(lambda methods: " ".join(sorted(set(methods))))
+        sizes = flown.value_counts()
+        chosen = max(sizes.index, key=lambda methods: (len(methods.split()), sizes[methods]))
+        kept.append(case[case["seed"].map(flown) == chosen])
+    return pd.concat(kept) if kept else runs
 
 
 def flat(

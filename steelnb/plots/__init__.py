@@ -13,10 +13,23 @@ from steelnb.plots.draw import (
     project_perspective,
     thinned,
 )
-from steelnb.plots.style import BANDS, BLACK, BLUE, COLOURS, CURVES, GREY, LABELS, ORANGE, Figure, gather_legend, use
+from steelnb.plots.style import (
+    BANDS,
+    BLACK,
+    BLUE,
+    COLOURS,
+    CURVES,
+    GREY,
+    LABELS,
+    ORANGE,
+    Figure,
+    gather_bar,
+    gather_legend,
+    use,
+)
 
 __all__ = [
     "BANDS", "BLACK", "BLUE", "COLOURS", "CURVES", "GREY", "LABELS", "ORANGE", "Figure", "draw_bars", "draw_flight",
     "draw_judged_bars", "draw_lines", "draw_paths", "draw_tower", "end_points", "figure_clouds", "frame_perspective",
-    "gather_legend", "project_perspective", "thinned", "use",
+    "gather_bar", "gather_legend", "project_perspective", "thinned", "use",
 ]  # fmt: skip

@@ -10,7 +10,7 @@ import seaborn as sns
 from matplotlib.lines import Line2D
 
 from steelnb.core.errors import InputError
-from steelnb.plots.style import BLACK, COLOURS, DRIFT, GREY, gather_legend
+from steelnb.plots.style import BLACK, COLOURS, DRIFT, GREY, LABELS, gather_legend
 
 WIDE = 100.0
 """Ratio of values above which `forest` uses a logarithmic scale."""
@@ -37,10 +37,11 @@ def error_dots(runs: pd.DataFrame, case: str, methods: Sequence[str], **facets: 
     grid.map_dataframe(_draw_drift, case=case, order=dots["order"])
     grid.set(xscale="log", xlabel="ATE, root mean square (cm)", ylabel="", ylim=(len(dots["order"]) - 0.5, -0.5))
     panel = grid.axes.flat[0]
+    panel.set_yticks(range(len(dots["order"])), [LABELS.get(name, name) for name in dots["order"]])
     for name in methods if case != "method" else ():
         panel.plot([], [], "o", color=COLOURS[name], label=name)
     panel.plot([], [], color=BLACK, label="mean", **mean)
-    gather_legend(grid.figure, ncols=4)
+    gather_legend(grid.figure, ncols=len(methods) + 2)
     return grid
 
 

@@ -100,26 +100,27 @@ def frame_perspective(panel: Axes, cloud: Array, more: Sequence[Array] = (), ele
 
 @style()
 def figure_clouds(clouds: Mapping[str, tuple[Array, Array]]) -> Figure:
-    """The cloud that each method built, in its colour, over the true one, seen along y and along x.
+    """Draw the cloud that each method built, in its colour, over the true one, seen along y and along x.
 
-    ``clouds``: method → built and true points ``(N, 3)``, metres. Points of both are drawn in random order.
+    ``clouds``: method → built and true points ``(N, 3)``, metres. Black stays visible where no built point covers it.
     """
     everything = np.concatenate([cloud for pair in clouds.values() for cloud in pair])
     low, high = np.quantile(everything, [0.0005, 0.9995], axis=0) + np.array([[-0.4], [0.4]])
-    wide = (high - low)[:2]
-    scale = min(6.0 / (high - low)[2], 3.2 / wide.sum())  # inches per metre
-    figure = Figure(figsize=(len(clouds) * (wide.sum() * scale + 0.9) + 0.4, (high - low)[2] * scale + 2.4))
-    for frame, (method, pair) in zip(figure.subfigures(1, len(clouds), squeeze=False)[0], clouds.items(), strict=True):
-        points, colours = np.concatenate(pair), np.repeat([COLOURS[method], COLOURS["truth"]], [len(c) for c in pair])
-        order = np.random.default_rng(0).permutation(len(points))[:CLOUD_POINTS]  # neither hides the other
-        for across, panel in enumerate(frame.subplots(1, 2, sharey=True, width_ratios=wide)):
-            panel.scatter(points[order, across], points[order, 2], s=0.35, c=colours[order], lw=0, rasterized=True)
-            panel.set(aspect="equal", xlabel=f"{'xy'[across]} (m)", ylabel="" if across else "z (m)")
+    wide, tall = (high - low)[:2], (high - low)[2]
+    scale = min(6.0 / tall, 3.2 / wide.sum())  # inches per metre
+    figure = Figure(figsize=(len(clouds) * (wide.sum() * scale + 0.3) + 0.9, tall * scale + 1.75), layout="compressed")
+    panels = figure.subplots(1, 2 * len(clouds), sharey=True, width_ratios=[*wide] * len(clouds))
+    for k, (method, (built, true)) in enumerate(clouds.items()):
+        for across, panel in enumerate(panels[2 * k : 2 * k + 2]):
+            for points, name in ((true, "truth"), (built, method)):
+                x, _, z = thinned(points[:, [across, across, 2]], CLOUD_POINTS // 2).T
+                panel.scatter(x, z, s=0.7, color=COLOURS[name], lw=0, rasterized=True)
+            panel.set(aspect="equal", xlabel=f"{'xy'[across]} (m)", ylabel="" if across or k else "z (m)")
             panel.set(xlim=(low[across], high[across]), ylim=(low[2], high[2]))
-        panel.plot([], [], "o", color=COLOURS[method], label=LABELS[method])
-        frame.suptitle(LABELS[method], fontsize=12)
-    panel.plot([], [], "o", color=COLOURS["truth"], label="at the true poses")
-    gather_legend(figure, ncols=3)
+        panels[2 * k].set_title(LABELS[method], loc="left")
+        panels[0].plot([], [], "o", color=COLOURS[method], label=LABELS[method])
+    panels[0].plot([], [], "o", color=COLOURS["truth"], label="at the true poses")
+    gather_legend(figure, ncols=5)
     return figure
 
 

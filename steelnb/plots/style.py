@@ -8,7 +8,10 @@ from typing import Any
 import matplotlib.figure
 import matplotlib.style
 import numpy as np
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import Normalize
 from matplotlib.font_manager import FontProperties, findfont, get_font
+from matplotlib.layout_engine import ConstrainedLayoutEngine
 
 # Okabe and Ito's palette (2008), safe for colour-blind readers, and further colours that are distinct from it.
 BLACK, BLUE, SKY, GREEN, ORANGE, VERMILION, PINK = (
@@ -20,8 +23,8 @@ VERDICTS = {"right": BLUE, "wrong": ORANGE, "missed": BLACK, "undecided": GREY}
 METHOD_LOOKS = {
     "none": ("no correction", VERMILION),
     "average": ("average (report's)", OLIVE),
-    "least_squares": ("least squares", "#5A5A2A"),
-    "report-segments": ("report's segment program", "#5C7A47"),
+    "least_squares": ("least squares", "#E0C400"),
+    "report-segments": ("report's segment program", "#3C4A14"),
     "icp": ("ICP", SKY),
     "report-icp": ("report's ICP program", "#14ADB8"),
     "icp-3dof": ("3-DoF ICP", GREEN),
@@ -32,7 +35,7 @@ METHOD_LOOKS = {
     "gicp-4dof": ("4-DoF GICP", WINE),
     "loam": ("LOAM", "#775511"),
     "best": ("best", MAGENTA),
-    "least_squares_yaw": ("least squares with yaw", "#DDCC77"),
+    "least_squares_yaw": ("least squares with yaw", "#BFA76A"),
     "faces": ("front faces", "#656CFF"),
     "smoothed": ("smoothed", "#661100"),
     "orb": ("ORB features", "#DD0044"),
@@ -59,13 +62,14 @@ PLANNED = {"planned": BLUE, "up a face": GREEN, "wide loops": OLIVE}
 COLOURS = {
     **VERDICTS, **{name: colour for name, (_, colour) in (METHOD_LOOKS | DETECTORS).items()}, **KINDS, **PLANNED,
     "vertical": WINE, "orbit": ORANGE, "orbit-3.3": ORANGE,  # the report's own, as `zigzag` and `loops`
-    "draws": BLUE, "draw": INDIGO, "truth": BLACK, "report": GREY, "report-drift": GREY, "member": LIGHT_GREY,
+    "draws": BLUE, "draw": ORANGE, "truth": BLACK, "report": GREY, "report-drift": GREY, "member": LIGHT_GREY,
     "points": "#c8c8c8", "surface": "#E8D5B5", "bars found": "#44AA99", "final": INDIGO, "incremental": SKY,
     "refused": "#dddddd",
 }  # fmt: skip
 """One colour for each name in every figure; a figure takes its colours from here alone."""
 LABELS = {name: label for name, (label, _) in (METHOD_LOOKS | DETECTORS).items()} | {
     "draws": "draws of the sensor's noise: median, 10 to 90 %", "draw": "one of them",
+    "final": "all scans at once", "incremental": "scan by scan",
     "report": "the report's curve", "report-drift": "the report, no correction", "truth": "truth",
 }  # fmt: skip
 DASHES: Any = {name: (3, 1.5) if name == "none" else (1, 1) if name == "report-drift" else "" for name in COLOURS}
@@ -78,7 +82,7 @@ CURVES: dict[str, Any] = {
 BANDS: dict[str, Any] = {
     "x": "sample", "y": "error_m", "estimator": "median", "errorbar": ("pi", 80),
     "hue": "curve", "hue_order": ["draws", "draw", "report"], "palette": COLOURS,
-    "size": "curve", "sizes": {"draws": 1.6, "draw": 0.7, "report": 2.0},
+    "size": "curve", "sizes": {"draws": 1.8, "draw": 1.0, "report": 2.0},
 }  # fmt: skip
 """How seaborn draws a table of `notebook.bands.draw_programs`."""
 LOOK: Any = {
@@ -133,6 +137,16 @@ def gather_legend(figure: matplotlib.figure.Figure, loc: str = "outside lower ce
     handles: dict[Any, Any] = {LABELS.get(label, label): handle for pairs in found for handle, label in pairs}
     for legend in [*figure.legends, *filter(None, (panel.get_legend() for panel in figure.axes))]:
         legend.remove()
-    figure.set_layout_engine("constrained")  # seaborn's grids have set another one
+    if not isinstance(figure.get_layout_engine(), ConstrainedLayoutEngine):  # seaborn's grids have set another one
+        figure.set_layout_engine("constrained")
     options: dict[str, Any] = {"loc": loc, **more}
     figure.legend(list(handles.values()), list(handles), **options)
+
+
+def gather_bar(figure: matplotlib.figure.Figure, label: str, highest: float) -> None:
+    """Replace seaborn's legends by one bar of the colours ``viridis`` from 0 to ``highest``. Its arrow says that all
+    larger values have the last colour."""
+    for legend in figure.legends[:]:
+        legend.remove()
+    figure.set_layout_engine("compressed")
+    figure.colorbar(ScalarMappable(Normalize(0, highest), "viridis"), ax=figure.axes, extend="max", label=label)

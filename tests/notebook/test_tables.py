@@ -1,0 +1,64 @@
+"""Tables for display: the same values under heads that a reader understands."""
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from steelnb.notebook.tables import HEADS, column_head, readable, shared_seeds
+
+
+@pytest.mark.parametrize(
+    ("name", "head"),
+    [
+        ("bend_deg", "bend (°)"), ("basin_radius_m", "basin radius (m)"), ("wrong_share", "wrong (share)"),
+        ("recall", "recall"), ("members_seen", "members seen"), ("error_max_m", "largest error (m)"),
+    ],
+)  # fmt: skip
+def test_a_head_has_words_and_the_unit(name, head):
+    assert column_head(name) == head
+
+
+def test_heads_keep_the_unit_of_their_column():
+    for name, head in HEADS.items():
+        for unit, shown in (("_m", "(m)"), ("_s", "(s)"), ("_ms", "(ms)"), ("_deg", "(°)"), ("_share", "(share)")):
+            assert name.endswith(unit) <= head.endswith(shown), name
+    assert len(set(HEADS.values())) > len(HEADS) - 5  # one head may stand for the same number of two tables
+
+
+def test_a_readable_table_shows_chosen_columns_rounded_and_counts_as_integers():
+    table = pd.DataFrame(
+        {"method": ["a", "b"], "scans": [3.0, np.nan], "recall": [1.0, 1.0], "ate_rmse_m": [0.12345, np.nan], "x": 1}
+    )
+    before = table.copy()
+    shown = readable(table.set_index("method"), ["scans", "recall", "ate_rmse_m"])
+    assert list(shown) == ["scans", "recall", "ATE (m)"]
+    assert shown["scans"].tolist() == [3, pd.NA]
+    assert shown["recall"].dtype == float, "a share"
+    assert shown["ATE (m)"].iloc[0] == 0.123
+    assert np.isnan(shown["ATE (m)"].iloc[1])
+    pd.testing.assert_frame_equal(table, before)
+
+
+def runs_of(**seeds):
+    return pd.DataFrame([{"world": "w", "method": name, "seed": seed} for name, own in seeds.items() for seed in own])
+
+
+@pytest.mark.parametrize(
+    ("flown", "kept"),
+    [
+        ({"a": [1, 2, 3], "b": [2, 3]}, {"a": [2, 3], "b": [2, 3]}),
+        ({"a": [1, 2]}, {"a": [1, 2]}),
+        # No seed has all three: the pair with more seeds is compared.
+        ({"a": [1, 2], "b": [1, 2, 3, 4, 5], "c": [3, 4, 5]}, {"b": [3, 4, 5], "c": [3, 4, 5]}),
+    ],
+    ids=["shared by all", "one method", "shared by none"],
+)
+def test_methods_are_compared_on_the_seeds_that_all_of_them_flew(flown, kept):
+    found = shared_seeds(runs_of(**flown), ["world"])
+    assert found.groupby("method")["seed"].agg(list).to_dict() == kept
+
+
+def test_each_case_has_its_own_seeds():
+    one, other = runs_of(a=[1, 2], b=[1]), runs_of(a=[7], b=[7]).assign(world="other")
+    found = shared_seeds(pd.concat([one, other]), ["world"])
+    assert found.groupby("world")["seed"].agg(set).to_dict() == {"w": {1}, "other": {7}}
