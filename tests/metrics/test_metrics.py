@@ -202,6 +202,24 @@ def test_returns_are_counted_in_the_slices_of_their_members(seed):
         np.testing.assert_array_equal(found, expected)
 
 
+@pytest.mark.parametrize("epoch_s", [0.0, 1.7e9])
+@pytest.mark.parametrize(
+    "stamp_s",
+    [
+        np.arange(300) / 10, np.append(np.arange(300) / 10, 30.0 + np.arange(70)), np.arange(50) * 2.0,
+        np.append(np.arange(300) / 10, 60.0 + np.arange(300) / 10), np.arange(30) * 5.0, np.array([0.0, 2.0]),
+    ],
+    ids=["10 Hz", "10 then 1 Hz", "0.5 Hz", "a gap", "0.2 Hz", "two poses"],
+)  # fmt: skip
+def test_the_relative_error_is_that_of_one_second_at_any_rate(stamp_s, epoch_s):
+    def path(speed_m_s):
+        T = np.tile(np.eye(4), (len(stamp_s), 1, 1))
+        T[:, 0, 3] = speed_m_s * stamp_s
+        return Trajectory(stamp_s + epoch_s, T)
+
+    assert score_trajectory(path(0.31), path(0.30))["rpe_rmse_m"] == pytest.approx(0.010)
+
+
 @pytest.mark.parametrize("off_s", [0.05, -0.05, 1.0, 3600.0, 2e-6])
 def test_stamps_of_another_clock_are_refused_at_the_epoch_of_recordings(off_s):
     path = line(40)
