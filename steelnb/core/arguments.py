@@ -20,7 +20,7 @@ P = ParamSpec("P")
 R = TypeVar("R")
 
 
-class Kind(NamedTuple):
+class Demand(NamedTuple):
     """What an annotation asks for: whether a value is of it, it in words, and the value as such."""
 
     accepts: Callable[[Any], bool]
@@ -34,15 +34,15 @@ MAKERS = {
     "Structure": "reconstruct", "Tower": "build_tower", "Truth": "experiment.simulate",
 }  # fmt: skip
 """Class → what returns one, for the message."""
-SIMPLE: dict[Any, Kind] = {
-    bool: Kind(lambda value: isinstance(value, bool | np.bool_), "True or False", bool),
-    int: Kind(lambda value: isinstance(value, numbers.Integral) and not isinstance(value, bool), "an integer", int),
-    float: Kind(lambda value: isinstance(value, numbers.Real) and not isinstance(value, bool), "a number", float),
-    str: Kind(lambda value: isinstance(value, str), "a text"),
-    Path: Kind(lambda value: isinstance(value, os.PathLike), "a path"),
-    type(None): Kind(lambda value: value is None, "None"),
+SIMPLE: dict[Any, Demand] = {
+    bool: Demand(lambda value: isinstance(value, bool | np.bool_), "True or False", bool),
+    int: Demand(lambda value: isinstance(value, numbers.Integral) and not isinstance(value, bool), "an integer", int),
+    float: Demand(lambda value: isinstance(value, numbers.Real) and not isinstance(value, bool), "a number", float),
+    str: Demand(lambda value: isinstance(value, str), "a text"),
+    Path: Demand(lambda value: isinstance(value, os.PathLike), "a path"),
+    type(None): Demand(lambda value: value is None, "None"),
 }
-UNCHECKED = Kind(lambda value: True, "")
+UNCHECKED = Demand(lambda value: True, "")
 
 
 def checks_arguments(function: Callable[P, R]) -> Callable[P, R]:
@@ -54,7 +54,7 @@ def checks_arguments(function: Callable[P, R]) -> Callable[P, R]:
     """
     named = inspect.getfullargspec(inspect.unwrap(function))
     parameters = [*named.args, *named.kwonlyargs]
-    kinds: dict[str, Kind] = {}  # filled by the first call, when all modules are loaded
+    kinds: dict[str, Demand] = {}  # filled by the first call, when all modules are loaded
 
     def as_annotated(name: str, value: Any) -> Any:
         kind = kinds.get(name, UNCHECKED)
@@ -75,7 +75,7 @@ def checks_arguments(function: Callable[P, R]) -> Callable[P, R]:
     return checked
 
 
-def _kind_of(hint: Any) -> Kind:
+def _kind_of(hint: Any) -> Demand:
     """The kind of an annotation; that of what is not checked accepts all, and has no words."""
     origin, of = typing.get_origin(hint), typing.get_args(hint)
     if hint in SIMPLE or hint is Any:
@@ -83,17 +83,17 @@ def _kind_of(hint: Any) -> Kind:
     if origin in (typing.Union, types.UnionType):
         kinds = [_kind_of(each) for each in of]
         if all(kind.words for kind in kinds):
-            return Kind(
+            return Demand(
                 lambda value: any(kind.accepts(value) for kind in kinds),
                 " or ".join(kind.words for kind in kinds),
                 lambda value: next(kind for kind in kinds if kind.accepts(value)).make(value),
             )
     elif origin is Literal:
-        return Kind(lambda value: isinstance(value, str | int) and value in of, quoted(of))
+        return Demand(lambda value: isinstance(value, str | int) and value in of, quoted(of))
     elif origin is collections.abc.Callable:
-        return Kind(callable, "a function")
+        return Demand(callable, "a function")
     elif origin in (dict, collections.abc.Mapping):
-        return Kind(lambda value: isinstance(value, origin), "a table")
+        return Demand(lambda value: isinstance(value, origin), "a table")
     elif inspect.isclass(hint) and origin is None and not getattr(hint, "_is_protocol", False):
-        return Kind(lambda value: isinstance(value, hint), hint.__name__)
+        return Demand(lambda value: isinstance(value, hint), hint.__name__)
     return UNCHECKED

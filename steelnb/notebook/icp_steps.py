@@ -63,7 +63,7 @@ def figure_icp_steps(flight: Flight, truth: Truth, frame: int, preprocess: Prepr
     )
     reference = transform_points(np.linalg.inv(T_world_drone[0]) @ T_world_drone[1], reference)
     steps = icp_steps(transform_points(START, scan), reference, LIMIT_M)
-    figure = Figure(figsize=(13, 4.6), layout="constrained")
+    figure = Figure(figsize=(13, 4.1), layout="constrained")
     for panel, (title, step) in zip(figure.subplots(1, len(steps), sharey=True), steps.items(), strict=True):
         shown = step.paired[:: max(1, len(step.paired) // PAIRS_SHOWN)]
         joined = np.isin(step.paired, shown)
