@@ -15,7 +15,7 @@ import os
 import shutil
 import subprocess
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
@@ -86,8 +86,11 @@ def compute(settings: Mapping[str, Any]) -> dict[str, str]:
     return {name: found for pair in flights for name, found in digests(settings, *pair)}
 
 
-def digests(settings: Mapping[str, Any], sensor: str, trajectory: str) -> Iterator[tuple[str, str]]:
-    """Name and digest of everything computed from one flight, in the order in which it is computed."""
+def digests(
+    settings: Mapping[str, Any], sensor: str, trajectory: str, methods: Iterable[str] = METHODS
+) -> Iterator[tuple[str, str]]:
+    """Name and digest of everything computed from one flight, in the order in which it is computed. A structure follows
+    if ``smoothed`` is among the methods."""
     start_s = settings["start_s"].get(trajectory, 0.0)
 
     def configured(method: str) -> ExperimentSettings:
@@ -113,14 +116,15 @@ def digests(settings: Mapping[str, Any], sensor: str, trajectory: str) -> Iterat
     yield from _bars(name, flight, by_segments)
     smoothed, faces.REFIT_S = None, settings.get("refit_s", faces.REFIT_S)
     with shared_segments():
-        for method in METHODS:
+        for method in methods:
             chosen, odometry = flight, configured(method).odometry
             if isinstance(odometry, FaceSettings) and not odometry.smooth:
                 chosen = whole.first(settings["scans_of_faces"])
             found = correct(chosen, odometry)
             smoothed = found.corrected if method == "smoothed" else smoothed
             yield f"{name}/{method}", digest(found.corrected.T_world_drone)
-    assert smoothed is not None
+    if smoothed is None:
+        return
     structure = reconstruct(flight.scans, smoothed.T_world_drone, flight.T_drone_sensor, StructureSettings())
     yield f"{name}/structure bars", digest(structure.segments.start, structure.segments.end, structure.width_m)
     yield f"{name}/structure joints", digest(structure.joint, structure.tie)

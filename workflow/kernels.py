@@ -2,6 +2,7 @@
 
 import sys
 import time
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
@@ -10,26 +11,33 @@ from joblib import Parallel, delayed
 from steelnb.core.kernels import COMPILING, compiling
 from steelnb.fusion.whole_cloud import bars_of_cloud
 from steelnb.hough.alternatives.methods import find_bars_by
+from steelnb.settings import METHODS
 from workflow.digests import SHORT, digests
 
-FLIGHTS = (("starling2", "loops"), ("starling2-honest", "zigzag"), ("report", "orbit"))
+ADJUSTING = ("faces", "smoothed")
+"""Methods that need half of all kernels."""
+OTHERS = tuple(name for name in METHODS if name not in ADJUSTING)
 
 
 def compile_kernels(root: Path) -> None:
     """Fly and search with every method, which compiles what is missing, and print how many kernels that were."""
     began = time.monotonic()
     print(COMPILING, file=sys.stderr, flush=True)
-    jobs = [*(delayed(_fly)(*flight) for flight in FLIGHTS), delayed(_search)()]
+    # In this order, the two processes seldom need the same kernel at the same time, which both would compile.
+    jobs = [
+        delayed(_fly)("starling2", "loops", ADJUSTING), delayed(_search)(), delayed(_fly)("starling2", "loops", OTHERS),
+        delayed(_fly)("starling2-honest", "zigzag", METHODS), delayed(_fly)("report", "orbit", METHODS),
+    ]  # fmt: skip
     counts = Parallel(n_jobs=2, batch_size=1)(jobs)
     size = sum(file.stat().st_size for file in (root / "steelnb").rglob("__pycache__/*.nb?"))
     seconds = time.monotonic() - began
     print(f"{sum(counts)} kernels compiled in {seconds:.0f} s: {size / 1e6:.0f} MB in steelnb/**/__pycache__")
 
 
-def _fly(sensor: str, trajectory: str) -> int:
+def _fly(sensor: str, trajectory: str, methods: Iterable[str]) -> int:
     before = compiling.count
     settings = SHORT if sensor != "report" else {**SHORT, "overrides": {}}
-    for _ in digests(settings, sensor, trajectory):
+    for _ in digests(settings, sensor, trajectory, methods):
         pass
     return compiling.count - before
 
