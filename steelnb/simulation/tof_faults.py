@@ -125,14 +125,19 @@ def expose(
                    multipath_amplitude.ravel())  # fmt: skip
     mixed, equivalent = np.empty(count), np.empty(count)
     mix_phasors(hit.range_m, amplitude, multipath_m, multipath_amplitude, mixed, equivalent)
-    with np.errstate(invalid="ignore"):  # ranges are infinite without light
-        wiggle = faults.wiggle_m * np.sin(2 * math.pi * mixed / WIGGLE_PERIOD_M + faults.phase_rad)
-    measured = np.where(np.isfinite(mixed), (1 + faults.scale_error) * mixed + faults.offset_m + wiggle, np.inf)
+    measured = reported_range(mixed, faults)
     shape = settings.rows, settings.columns
     return Exposure(
         measured.astype(np.float32).reshape(shape), equivalent.astype(np.float32).reshape(shape),
         hit.range_m[MIDDLE].reshape(shape), hit.member[MIDDLE].reshape(shape),
     )  # fmt: skip
+
+
+def reported_range(range_m: Array, faults: Faults) -> Array:
+    """Ranges ``(N,)`` as the camera reports them, metres: with its wiggle, scale and offset; infinite without light."""
+    with np.errstate(invalid="ignore"):
+        wiggle = faults.wiggle_m * np.sin(2 * math.pi * range_m / WIGGLE_PERIOD_M + faults.phase_rad)
+    return np.where(np.isfinite(range_m), (1 + faults.scale_error) * range_m + faults.offset_m + wiggle, np.inf)
 
 
 def _bundle(settings: TofSettings, faults: Faults, T_world_sensor: Array, random: np.random.Generator) -> Floats:
