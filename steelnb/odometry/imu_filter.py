@@ -40,7 +40,7 @@ from steelnb.fusion.adjustment.imu_factors import (
     integrated,
     integration_covariances,
 )
-from steelnb.odometry.inertial_state import ERROR, FILTER_DOF, State, seen
+from steelnb.odometry.inertial_state import ERROR, FILTER_DOF, State, moved_error, seen, state_size
 from steelnb.odometry.prediction import NO_ERROR, LastingError, RegisteredPose
 from steelnb.odometry.rest import REST_MIN_S, after_rest, find_rest, prior_rests
 from steelnb.registration import Term
@@ -106,7 +106,7 @@ class InertialPrediction:
         gain = np.linalg.solve(before, seen(P)).T  # of all errors, from those of the registered pose
         step = gain @ pose_difference(self.state.T_registered, T_world_drone)
         P = P + gain @ (np.linalg.inv(predicted + added) - before) @ gain.T
-        error = self.state.error + step[ERROR]
+        error = moved_error(self.state.error, step)
         self.state = self.state._replace(
             T_world_drone=moved_poses(T_world_drone[None], -error[None])[0],
             velocity=self.state.velocity + step[VELOCITY], bias=self.state.bias + step[BIAS], error=error,
@@ -137,7 +137,7 @@ class InertialPrediction:
         )
 
     def _started(self, prior: Array, stamp_s: float, lasting: LastingError) -> State:
-        variance = np.zeros(FILTER_DOF)
+        variance = np.zeros(state_size(lasting))
         variance[POSE] = [TILT_SIGMA_RAD**2] * 2 + [1 / FIXED] * 4
         variance[VELOCITY] = VELOCITY_SIGMA_M_S**2
         variance[GYRO] = max(self.noise.gyro_bias, SIGMA_MIN) ** 2
@@ -161,7 +161,9 @@ class InertialPrediction:
             return None
         step, P = after_rest(rest, self.noise, first.T_world_drone[:3, :3], first.covariance)
         T_world_drone = moved_poses(first.T_world_drone[None], step[None, POSE])[0]
-        return State(stamp_s, prior, T_world_drone, np.zeros(3), step[BIAS], step[ERROR], P, lasting)
+        error = moved_error(np.zeros(POSE_DOF), step)
+        state = State(stamp_s, prior, T_world_drone, np.zeros(3), step[BIAS], error, P, first.lasting)
+        return state if lasting == first.lasting else state.with_new_error(lasting)
 
     def _propagated(self, old: State, prior: Array, stamp_s: float) -> State:
         passed_s = stamp_s - old.stamp_s
@@ -174,29 +176,31 @@ class InertialPrediction:
             self._integrated(old, stamp_s) if has_readings else self._followed(old, prior, expected, passed_s)
         )
         decay = np.exp(-passed_s / old.lasting.time_s)
-        F[ERROR, ERROR] = decay * np.eye(POSE_DOF)
-        Q[ERROR, ERROR] = (1.0 - decay**2) * np.diag(old.lasting.variance)
+        size = len(old.covariance)
+        if size == FILTER_DOF:
+            F[ERROR, ERROR] = decay * np.eye(POSE_DOF)
+            Q[ERROR, ERROR] = (1.0 - decay**2) * np.diag(old.lasting.variance)
         cross = F @ old.covariance
         joint = np.block([[old.covariance, cross.T], [cross, cross @ F.T + Q]])  # of the earlier and the later state
         error = np.append(
             yaw_of(T[:3, :3] @ (turned @ prior[:3, :3]).T), T[:3, 3] - old.T_world_drone[:3, 3] - expected
         )
-        H_old, H_new = np.zeros((2, 4, FILTER_DOF))
+        H_old, H_new = np.zeros((2, 4, size))
         H_new[0, 2], H_old[0, 2] = 1.0, -1.0
         H_new[1:, POSITION], H_old[1:, POSITION] = np.eye(3), -np.eye(3)
         H_old[1:3, 2] = expected[1], -expected[0]
         H = np.hstack([H_old, H_new])
         drift = np.diag(drift_variance(passed_s))
         gain = np.linalg.solve(H @ joint @ H.T + drift, H @ joint).T
-        step, P = -(gain @ error)[FILTER_DOF:], (joint - gain @ H @ joint)[FILTER_DOF:, FILTER_DOF:]
+        step, P = -(gain @ error)[size:], (joint - gain @ H @ joint)[size:, size:]
         T_world_drone = moved_poses(T[None], step[None, POSE])[0]
         return State(
             stamp_s, prior, T_world_drone, velocity + step[VELOCITY], old.bias + step[BIAS],
-            decay * old.error + step[ERROR], 0.5 * (P + P.T), old.lasting,
+            moved_error(decay * old.error, step), 0.5 * (P + P.T), old.lasting,
         )  # fmt: skip
 
     def _integrated(self, old: State, stamp_s: float) -> tuple[Array, Array, Array, Array]:
-        """Pose and velocity by the readings, the Jacobian ``(15, 15)`` of the errors with respect to those of the old
+        """Pose and velocity by the readings, the Jacobian ``(N, N)`` of the errors with respect to those of the old
         state, and the covariance of the noise."""
         passed_s, R = stamp_s - old.stamp_s, old.T_world_drone[:3, :3]
         imu, stamps_s = self.imu, np.array([old.stamp_s, stamp_s])
@@ -206,7 +210,7 @@ class InertialPrediction:
         T = np.eye(4)
         T[:3, :3] = R @ read.rotation[0]
         T[:3, 3] = old.T_world_drone[:3, 3] + passed_s * (old.velocity + 0.5 * by_gravity) + shift
-        F, Q = np.eye(FILTER_DOF), np.zeros((FILTER_DOF, FILTER_DOF))
+        F, Q = np.eye(len(old.covariance)), np.zeros(old.covariance.shape)
         F[ROTATION, GYRO] = F[VELOCITY, FORCE] = -passed_s * R
         F[POSITION, VELOCITY], F[POSITION, FORCE] = passed_s * np.eye(3), -0.5 * passed_s**2 * R
         force_cross, shift_cross = cross_matrix(by_force), cross_matrix(shift)
@@ -221,7 +225,7 @@ class InertialPrediction:
         self, old: State, prior: Array, expected: Array, passed_s: float
     ) -> tuple[Array, Array, Array, Array]:
         """The same from the prior, if readings are missing. Its shift gets a sigma of 1 m, as it is also measured."""
-        F, Q = np.eye(FILTER_DOF), np.zeros((FILTER_DOF, FILTER_DOF))
+        F, Q = np.eye(len(old.covariance)), np.zeros(old.covariance.shape)
         T = old.T_world_drone.copy()
         T[:3, :3] = T[:3, :3] @ old.prior[:3, :3].T @ prior[:3, :3]
         T[:3, 3] += expected

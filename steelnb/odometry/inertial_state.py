@@ -7,7 +7,7 @@ import numpy as np
 from steelnb.core.geometry import POSE_DOF, moved_poses
 from steelnb.core.types import Array
 from steelnb.fusion.adjustment.imu_factors import POSE, STATE_DOF
-from steelnb.odometry.prediction import LastingError
+from steelnb.odometry.prediction import NO_ERROR, LastingError
 
 FILTER_DOF = STATE_DOF + POSE_DOF
 ERROR = slice(STATE_DOF, FILTER_DOF)
@@ -16,7 +16,7 @@ ERROR = slice(STATE_DOF, FILTER_DOF)
 
 class State(NamedTuple):
     """Pose ``T_world_drone (4, 4)``, ``velocity (3,)`` in the world frame, ``bias (6,)`` of gyroscope and accelerometer
-    and the lasting ``error (6,)`` of registrations, with the ``covariance (21, 21)`` of their errors, at ``stamp_s``;
+    and the lasting ``error (6,)`` of registrations, with the ``covariance (N, N)`` of their errors, at ``stamp_s``;
     ``prior (4, 4)``: the drifting pose then; ``lasting``: the process that ``error`` follows."""
 
     stamp_s: float
@@ -40,12 +40,24 @@ class State(NamedTuple):
 
     def with_new_error(self, lasting: LastingError) -> "State":
         """Before the first registration with another ``lasting`` error, of which nothing is known yet."""
-        P = self.covariance.copy()
-        P[ERROR] = P[:, ERROR] = 0.0
-        P[ERROR, ERROR] = np.diag(lasting.variance)
+        size = state_size(lasting)
+        P = np.zeros((size, size))
+        P[:STATE_DOF, :STATE_DOF] = self.covariance[:STATE_DOF, :STATE_DOF]
+        if size == FILTER_DOF:
+            P[ERROR, ERROR] = np.diag(lasting.variance)
         return self._replace(error=np.zeros(POSE_DOF), covariance=P, lasting=lasting)
 
 
 def seen(rows: Array) -> Array:
-    """Rows ``(6, N)`` of the registered pose from the rows ``(21, N)`` of a state."""
-    return np.asarray(rows[POSE] + rows[ERROR])
+    """Rows ``(6, M)`` of the registered pose from the rows ``(N, M)`` of a state."""
+    return np.asarray(rows[POSE] + rows[ERROR]) if len(rows) == FILTER_DOF else rows[POSE]
+
+
+def moved_error(error: Array, step: Array) -> Array:
+    """The lasting ``error (6,)`` of registrations after the step ``(N,)`` of a state."""
+    return error + step[ERROR] if len(step) == FILTER_DOF else error
+
+
+def state_size(lasting: LastingError) -> int:
+    """The degrees of freedom N of a state: 21, or 15 if registrations have no lasting error."""
+    return STATE_DOF if lasting == NO_ERROR else FILTER_DOF
