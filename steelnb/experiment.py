@@ -13,6 +13,7 @@ from steelnb.core.types import Flight, Imu, Trajectory
 from steelnb.metrics import score_estimate
 from steelnb.odometry import correct
 from steelnb.planning import OnboardPilot
+from steelnb.points.calibration import calibrated
 from steelnb.settings import ExperimentSettings, OrbSettings, ReportCloudSettings
 from steelnb.settings.presets import members_file
 from steelnb.settings.report_plots import STEP_S
@@ -81,7 +82,7 @@ def simulate(settings: ExperimentSettings, on_progress: OnProgress | None = None
     shares_rays = not planned and not tof.faults
     if shares_rays:
         tof = noise_free(tof)
-    key = world(settings if planned else settings.replace(imu=None, tof=tof))
+    key = world(settings if planned else settings.replace(imu=None, tof=tof.uncalibrated()))
     trajectory, exact, scans, visibility = cached(flown, "flight", *key)
     if shares_rays:
         scans = add_noise(scans, settings.tof, settings.seed)
@@ -119,11 +120,13 @@ def estimate(
     settings: ExperimentSettings, flight: Flight, truth: Truth, on_progress: OnProgress | None = None
 ) -> Result:
     """Run the odometry on a flight, then score the estimate. The odometry does not see the truth."""
+    flight = calibrated(flight, settings.tof)
     on_step = (lambda k, scan, step: on_progress((k + 1) / len(flight))) if on_progress else None
     before = broken_off(settings)
     if isinstance(flight.scans, RangeScans) and flight.images is None:
         given = flight.scans, flight.prior, flight.T_drone_sensor, flight.imu, before and before.scans
-        key = "estimate", settings.odometry.model_dump_json(), *given
+        told = (flight.range_sigmas,) if any(flight.range_sigmas) else ()
+        key = "estimate", settings.odometry.model_dump_json(), *given, *told
         found = cached(lambda: correct(flight, settings.odometry, on_step, before=before), *key)
     else:  # images and recorded scans have no fast cache key
         found = correct(flight, settings.odometry, on_step, before=before)

@@ -462,3 +462,19 @@ def integrated(at_s, force, rate, stamp_s, bias):
                 v = v + passed_s * f
         result.append((R, v, p))
     return [np.array(each) for each in zip(*result, strict=True)]
+
+
+def fill_bundle(T, plane, grid_px, lateral_px, pixel):
+    """`simulation.phasors.fill_bundle`: rays through displaced points of the image plane."""
+    y, z = np.moveaxis(plane + (grid_px[:, None] + lateral_px) * pixel, -1, 0)[..., None]
+    T = T[:, None, :3]
+    bundle = np.empty((*y.shape[:2], 6), np.float32)
+    bundle[..., :3] = T[..., 3]
+    bundle[..., 3:] = (T[..., 0] + T[..., 1] * y + T[..., 2] * z) / np.sqrt(1 + y * y + z * z)
+    return bundle
+
+
+def amplitudes(bundle, range_m, normal, reflectivity):
+    """`simulation.phasors.amplitudes`: Lambert's cosine over the square of the range."""
+    cosine = np.abs((normal * bundle[..., 3:]).sum(axis=2, dtype=np.float64))
+    return (reflectivity * cosine / range_m**2).astype(np.float32)

@@ -127,8 +127,9 @@ class Flight:
 
     ``scans``: K scans in the sensor frame, in memory or read from disk on access; ``prior``: the drifting poses of the
     drone at the scans; ``T_drone_sensor (4, 4)``: the sensor's mount; ``imu`` and ``images``: None if there are
-    none. ``name`` is for titles and file names; ``facts``: the source of each part of a recording; ``skipped``: number
-    of messages or files left out on opening, by reason.
+    none. ``range_sigmas``: standard deviations of scale and offset (m) that a calibration of the ranges leaves, zero if
+    unknown. ``name`` is for titles and file names; ``facts``: the source of each part of a recording; ``skipped``:
+    number of messages or files left out on opening, by reason.
     """
 
     scans: Sequence[Scan]
@@ -139,6 +140,7 @@ class Flight:
     facts: Mapping[str, str] = field(default_factory=dict)
     skipped: Mapping[str, int] = field(default_factory=dict)
     images: CameraImages | None = None
+    range_sigmas: tuple[float, float] = (0.0, 0.0)
 
     def __post_init__(self) -> None:
         checks.set_checked(self, T_drone_sensor=checks.checked_pose(self.T_drone_sensor, "Flight.T_drone_sensor"))

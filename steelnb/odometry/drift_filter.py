@@ -7,7 +7,7 @@ from steelnb.core.geometry import rotation_between
 from steelnb.core.types import Array, Imu
 from steelnb.fusion.adjustment.drift_factors import DRIFT_PERIOD_S, tilt_decay
 from steelnb.odometry.imu_filter import InertialPrediction
-from steelnb.odometry.prediction import Prediction, RegisteredPose
+from steelnb.odometry.prediction import NO_ERROR, LastingError, Prediction, RegisteredPose
 from steelnb.registration import Term, prior_term
 from steelnb.settings import ImuSettings
 
@@ -44,9 +44,9 @@ class DriftPrediction:
         self._last_s = self._current_s = np.nan  # stamps of the last scan and of the predicted one
         self._prior = self._pose = np.eye(4)  # at the last scan
 
-    def pose(self, prior: Array, stamp_s: float) -> Array:
+    def pose(self, prior: Array, stamp_s: float, lasting: LastingError = NO_ERROR) -> Array:
         """The predicted pose ``(4, 4)`` of the drone at a scan with the drifting pose ``prior``. The information about
-        roll and pitch follows from the time since the last scan."""
+        roll and pitch follows from the time since the last scan. This filter knows of no ``lasting`` error."""
         self._current_s, passed_s = stamp_s, stamp_s - self._last_s
         passed_s = passed_s if passed_s > 0 else DRIFT_PERIOD_S  # the first scan, and scans without stamps
         turn, offset = self.turn, self.offset
@@ -80,6 +80,10 @@ class DriftPrediction:
         self.offset_rate = self.offset_rate - unobserved.T @ (unobserved @ self.offset_rate)
         self.turn, self.offset, self._followed, self._last_s = turn, offset, True, self._current_s
         self._pose = T_world_drone
+
+    def levelled(self, T_world_drone: Array) -> Array:
+        """The same pose ``(4, 4)``."""
+        return T_world_drone
 
     def lose(self) -> None:
         """Update with a scan that was not registered."""

@@ -5,15 +5,18 @@ increment of the drifting prior, in position and yaw, is a measurement of the sa
 registration with its covariance, and the registered pose corrects velocity and biases, too. Roll and pitch thus come
 from gravity over the whole flight, not from the prior. A scan with little information follows the readings.
 
+Registrations to one map share errors: those of the map, and those that depend on the view. If each counted as a
+measurement of its own, the filter would claim 2 mm where it is off by 40. So a registered pose is the true one moved by
+a `LastingError`, a first-order Gauss-Markov process, which is a state, too.
+
 Sources: Solà, "Quaternion kinematics for the error-state Kalman filter" (arXiv 1711.02508, 2017), with errors in the
 world frame; Roumeliotis and Burdick, "Stochastic cloning" (ICRA 2002), for increments, which depend on two poses.
 """
 
-from typing import NamedTuple
-
 import numpy as np
 
 from steelnb.core.geometry import (
+    POSE_DOF,
     cross_matrix,
     information_at,
     moved_poses,
@@ -32,13 +35,14 @@ from steelnb.fusion.adjustment.imu_factors import (
     POSITION,
     ROTATION,
     SIGMA_MIN,
-    STATE_DOF,
     VELOCITY,
     gaps,
     integrated,
     integration_covariances,
 )
-from steelnb.odometry.prediction import RegisteredPose
+from steelnb.odometry.inertial_state import ERROR, FILTER_DOF, State, moved_error, seen, state_size
+from steelnb.odometry.prediction import NO_ERROR, LastingError, RegisteredPose
+from steelnb.odometry.rest import REST_MIN_S, after_rest, find_rest, prior_rests
 from steelnb.registration import Term
 from steelnb.settings import ImuSettings
 
@@ -46,16 +50,8 @@ VELOCITY_SIGMA_M_S, ROTATION_SIGMA_RAD = 10.0, 0.01
 """Standard deviations without readings: of the velocity, and of the prior's rotation between two scans."""
 
 
-class State(NamedTuple):
-    """Pose ``T_world_drone (4, 4)``, ``velocity (3,)`` in the world frame, ``bias (6,)`` of gyroscope and accelerometer
-    and the ``covariance (15, 15)`` of their errors, at ``stamp_s``; ``prior (4, 4)``: the drifting pose then."""
-
-    stamp_s: float
-    prior: Array
-    T_world_drone: Array
-    velocity: Array
-    bias: Array
-    covariance: Array
+LEAN_SIGMA_RAD = 3e-5
+"""Standard deviation of the first map's roll and pitch about those of the prior, so that both stay invertible."""
 
 
 class InertialPrediction:
@@ -67,19 +63,25 @@ class InertialPrediction:
         self.imu, self.noise = imu, noise
         self.state: State | None = None  # at the last scan
         self.predicted: State | None = None  # for the current scan
+        self.first: State | None = None  # at the first scan, as long as the drone may rest
 
-    def pose(self, prior: Array, stamp_s: float) -> Array:
-        """The predicted pose ``(4, 4)`` of the drone at a scan with the drifting pose ``prior``; at the first scan, the
-        prior itself."""
-        old = self.state
-        self.predicted = self._propagated(old, prior, stamp_s) if old else self._started(prior, stamp_s)
-        return self.predicted.T_world_drone
+    def pose(self, prior: Array, stamp_s: float, lasting: LastingError = NO_ERROR) -> Array:
+        """The pose ``(4, 4)`` that a registration with a ``lasting`` error is expected to give at a scan with the
+        drifting pose ``prior``; at the first scan, the prior itself."""
+        if self.state is None:
+            self.first = self.predicted = self._started(prior, stamp_s, lasting)
+            return self.predicted.T_registered
+        self.predicted = self._rested(prior, stamp_s, lasting)
+        if self.predicted is None:
+            old = self.state if self.state.lasting == lasting else self.state.with_new_error(lasting)
+            self.predicted = self._propagated(old, prior, stamp_s)
+        return self.predicted.T_registered
 
     @property
     def information(self) -> Array:
         """Information ``(6, 6)`` about rotation and position of the drone in the predicted pose."""
         assert self.predicted is not None
-        return np.asarray(np.linalg.inv(self.predicted.covariance[POSE, POSE]))
+        return np.asarray(np.linalg.inv(self.predicted.registered_covariance))
 
     def terms(self, T_predicted: Array, points: Array) -> list[Term]:
         """½ ‖rotation and shift of the drone from the predicted pose‖² in the metric of its information."""
@@ -100,46 +102,68 @@ class InertialPrediction:
         added = observed @ (information_at(H, arm) - predicted) @ observed
         self.lose()
         assert self.state is not None
-        P = self.state.covariance
-        before = P[POSE, POSE]
-        gain = np.linalg.solve(before, P[POSE]).T  # of all errors, from those of the pose
-        step = gain @ pose_difference(self.state.T_world_drone, T_world_drone)
+        P, before = self.state.covariance, self.state.registered_covariance
+        gain = np.linalg.solve(before, seen(P)).T  # of all errors, from those of the registered pose
+        step = gain @ pose_difference(self.state.T_registered, T_world_drone)
         P = P + gain @ (np.linalg.inv(predicted + added) - before) @ gain.T
+        error = moved_error(self.state.error, step)
         self.state = self.state._replace(
-            T_world_drone=T_world_drone, velocity=self.state.velocity + step[VELOCITY],
-            bias=self.state.bias + step[BIAS], covariance=0.5 * (P + P.T),
+            T_world_drone=moved_poses(T_world_drone[None], -error[None])[0],
+            velocity=self.state.velocity + step[VELOCITY], bias=self.state.bias + step[BIAS], error=error,
+            covariance=0.5 * (P + P.T),
         )  # fmt: skip
 
-    def loosen(self, variance: Array) -> None:
-        """Add a ``variance (4,)`` of yaw and position to the predicted pose."""
-        assert self.predicted is not None
-        P = self.predicted.covariance.copy()
-        P[range(2, 6), range(2, 6)] += variance
-        self.predicted = self.predicted._replace(covariance=P)
+    def levelled(self, T_world_drone: Array) -> Array:
+        """The registered pose ``(4, 4)`` of the last scan with roll and pitch from gravity: a map may lean."""
+        assert self.state is not None
+        tilt = self.state.error * [1.0, 1.0, 0.0, 0.0, 0.0, 0.0]
+        return moved_poses(T_world_drone[None], -tilt[None])[0]
 
     def lose(self) -> None:
         """Update with a scan that was not registered: continue from its prediction."""
         self.state = self.predicted
 
     def adjust(self, T_correction: Array, variance: Array) -> None:
-        """Move the state by ``T_correction (4, 4)``, world frame, and add a ``variance (6,)`` of rotation and position
-        of the drone."""
+        """Move the registered pose by ``T_correction (4, 4)``, world frame, and add a ``variance (6,)`` of rotation and
+        position of the drone. An adjusted map has a lasting error of its own."""
         assert self.state is not None
-        P = self.state.covariance.copy()
+        state = self.state.with_new_error(NO_ERROR)
+        P = state.covariance
         P[range(6), range(6)] += variance
-        self.state = self.state._replace(
-            T_world_drone=T_correction @ self.state.T_world_drone,
+        self.state = state._replace(
+            T_world_drone=T_correction @ self.state.T_registered,
             velocity=T_correction[:3, :3] @ self.state.velocity,
             covariance=P,
         )
 
-    def _started(self, prior: Array, stamp_s: float) -> State:
-        variance = np.zeros(STATE_DOF)
+    def _started(self, prior: Array, stamp_s: float, lasting: LastingError) -> State:
+        variance = np.zeros(state_size(lasting))
         variance[POSE] = [TILT_SIGMA_RAD**2] * 2 + [1 / FIXED] * 4
         variance[VELOCITY] = VELOCITY_SIGMA_M_S**2
         variance[GYRO] = max(self.noise.gyro_bias, SIGMA_MIN) ** 2
         variance[FORCE] = max(self.noise.accelerometer_bias, SIGMA_MIN) ** 2
-        return State(stamp_s, prior, prior, np.zeros(3), np.zeros(6), np.diag(variance))
+        P = np.diag(variance)
+        if lasting != NO_ERROR:
+            # The first map leans as the prior does: registrations to it do not tell the vertical.
+            lean = np.array([0, 1])
+            P[lean, ERROR.start + lean] = P[ERROR.start + lean, lean] = -(TILT_SIGMA_RAD**2)
+            P[ERROR.start + lean, ERROR.start + lean] = TILT_SIGMA_RAD**2 + LEAN_SIGMA_RAD**2
+        return State(stamp_s, prior, prior, np.zeros(3), np.zeros(6), np.zeros(6), P, lasting)
+
+    def _rested(self, prior: Array, stamp_s: float, lasting: LastingError) -> State | None:
+        """The state after a rest since the first scan; None if it is too short, or once the drone has moved."""
+        first = self.first
+        if first is None or stamp_s - first.stamp_s < REST_MIN_S - 1e-6:
+            return None
+        rest = find_rest(self.imu, self.noise, first.stamp_s, stamp_s)
+        if rest is None or not prior_rests(first.prior, prior, rest.seconds):
+            self.first = None
+            return None
+        step, P = after_rest(rest, self.noise, first.T_world_drone[:3, :3], first.covariance)
+        T_world_drone = moved_poses(first.T_world_drone[None], step[None, POSE])[0]
+        error = moved_error(np.zeros(POSE_DOF), step)
+        state = State(stamp_s, prior, T_world_drone, np.zeros(3), step[BIAS], error, P, first.lasting)
+        return state if lasting == first.lasting else state.with_new_error(lasting)
 
     def _propagated(self, old: State, prior: Array, stamp_s: float) -> State:
         passed_s = stamp_s - old.stamp_s
@@ -151,24 +175,32 @@ class InertialPrediction:
         T, velocity, F, Q = (
             self._integrated(old, stamp_s) if has_readings else self._followed(old, prior, expected, passed_s)
         )
+        decay = np.exp(-passed_s / old.lasting.time_s)
+        size = len(old.covariance)
+        if size == FILTER_DOF:
+            F[ERROR, ERROR] = decay * np.eye(POSE_DOF)
+            Q[ERROR, ERROR] = (1.0 - decay**2) * np.diag(old.lasting.variance)
         cross = F @ old.covariance
         joint = np.block([[old.covariance, cross.T], [cross, cross @ F.T + Q]])  # of the earlier and the later state
         error = np.append(
             yaw_of(T[:3, :3] @ (turned @ prior[:3, :3]).T), T[:3, 3] - old.T_world_drone[:3, 3] - expected
         )
-        H_old, H_new = np.zeros((2, 4, STATE_DOF))
+        H_old, H_new = np.zeros((2, 4, size))
         H_new[0, 2], H_old[0, 2] = 1.0, -1.0
         H_new[1:, POSITION], H_old[1:, POSITION] = np.eye(3), -np.eye(3)
         H_old[1:3, 2] = expected[1], -expected[0]
         H = np.hstack([H_old, H_new])
         drift = np.diag(drift_variance(passed_s))
         gain = np.linalg.solve(H @ joint @ H.T + drift, H @ joint).T
-        step, P = -(gain @ error)[STATE_DOF:], (joint - gain @ H @ joint)[STATE_DOF:, STATE_DOF:]
+        step, P = -(gain @ error)[size:], (joint - gain @ H @ joint)[size:, size:]
         T_world_drone = moved_poses(T[None], step[None, POSE])[0]
-        return State(stamp_s, prior, T_world_drone, velocity + step[VELOCITY], old.bias + step[BIAS], 0.5 * (P + P.T))
+        return State(
+            stamp_s, prior, T_world_drone, velocity + step[VELOCITY], old.bias + step[BIAS],
+            moved_error(decay * old.error, step), 0.5 * (P + P.T), old.lasting,
+        )  # fmt: skip
 
     def _integrated(self, old: State, stamp_s: float) -> tuple[Array, Array, Array, Array]:
-        """Pose and velocity by the readings, the Jacobian ``(15, 15)`` of the errors with respect to those of the old
+        """Pose and velocity by the readings, the Jacobian ``(N, N)`` of the errors with respect to those of the old
         state, and the covariance of the noise."""
         passed_s, R = stamp_s - old.stamp_s, old.T_world_drone[:3, :3]
         imu, stamps_s = self.imu, np.array([old.stamp_s, stamp_s])
@@ -178,7 +210,7 @@ class InertialPrediction:
         T = np.eye(4)
         T[:3, :3] = R @ read.rotation[0]
         T[:3, 3] = old.T_world_drone[:3, 3] + passed_s * (old.velocity + 0.5 * by_gravity) + shift
-        F, Q = np.eye(STATE_DOF), np.zeros((STATE_DOF, STATE_DOF))
+        F, Q = np.eye(len(old.covariance)), np.zeros(old.covariance.shape)
         F[ROTATION, GYRO] = F[VELOCITY, FORCE] = -passed_s * R
         F[POSITION, VELOCITY], F[POSITION, FORCE] = passed_s * np.eye(3), -0.5 * passed_s**2 * R
         force_cross, shift_cross = cross_matrix(by_force), cross_matrix(shift)
@@ -193,7 +225,7 @@ class InertialPrediction:
         self, old: State, prior: Array, expected: Array, passed_s: float
     ) -> tuple[Array, Array, Array, Array]:
         """The same from the prior, if readings are missing. Its shift gets a sigma of 1 m, as it is also measured."""
-        F, Q = np.eye(STATE_DOF), np.zeros((STATE_DOF, STATE_DOF))
+        F, Q = np.eye(len(old.covariance)), np.zeros(old.covariance.shape)
         T = old.T_world_drone.copy()
         T[:3, :3] = T[:3, :3] @ old.prior[:3, :3].T @ prior[:3, :3]
         T[:3, 3] += expected

@@ -25,6 +25,23 @@ class RegisteredPose(NamedTuple):
     arm: Array = np.zeros(3)
 
 
+class LastingError(NamedTuple):
+    """An error that the registrations to one map share: a first-order Gauss-Markov process with the standard deviations
+    ``sigma_rad`` of rotation and ``sigma_m`` of position about each axis, and the correlation time ``time_s``."""
+
+    sigma_rad: float
+    sigma_m: float
+    time_s: float
+
+    @property
+    def variance(self) -> Array:
+        """Variances ``(6,)`` of rotation and position."""
+        return np.repeat([self.sigma_rad**2, self.sigma_m**2], 3)
+
+
+NO_ERROR = LastingError(0.0, 0.0, 1.0)
+
+
 class Prediction(Protocol):
     """Predicts the pose of each scan. `pose` may be called repeatedly; `correct` or `lose` ends the scan."""
 
@@ -36,14 +53,18 @@ class Prediction(Protocol):
     def tilted(self) -> bool:
         """Whether roll and pitch of the prior have errors, which a registration then corrects, too."""
 
-    def pose(self, prior: Array, stamp_s: float) -> Array:
-        """The predicted pose ``(4, 4)`` of the drone at a scan with the drifting pose ``prior (4, 4)``."""
+    def pose(self, prior: Array, stamp_s: float, lasting: LastingError = NO_ERROR) -> Array:
+        """The predicted pose ``(4, 4)`` of the drone at a scan with the drifting pose ``prior (4, 4)``, as a
+        registration with a ``lasting`` error would find it."""
 
     def terms(self, T_predicted: Array, points: Array) -> list[Term]:
         """The cost of deviating from the predicted pose, of a registration of ``points (N, 3)``, drone frame."""
 
     def correct(self, registered: RegisteredPose) -> None:
         """Update with the registration of the scan."""
+
+    def levelled(self, T_world_drone: Array) -> Array:
+        """The pose ``(4, 4)`` to put out for a registered pose of the last scan."""
 
     def lose(self) -> None:
         """Update with a scan that was not registered."""

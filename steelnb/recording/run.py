@@ -21,8 +21,10 @@ from steelnb.fusion.reconstruct import reconstruct
 from steelnb.fusion.structure import Structure
 from steelnb.io import write_segments, write_structure, write_tum
 from steelnb.io.clouds import write_map
+from steelnb.odometry.rest import rest_duration_s
 from steelnb.plots.flight import figure_bars, figure_flight
 from steelnb.plots.style import COLOURS, LABELS
+from steelnb.points.calibration import calibrated
 from steelnb.recording.evaluate import TIMES, evaluate, references
 from steelnb.recording.summary import WARNINGS, result_lines
 from steelnb.settings import ExperimentSettings, OdometrySettings, OrbSettings, StructureSettings
@@ -109,6 +111,7 @@ def run_recording(
         raise InputError(f"{flight.name}: no images for method {settings.odometry.method!r}: recordings have none here")
     method = settings.odometry.method if own is None else own.__name__
     label, colour = (LABELS[method], COLOURS[method]) if own is None else (method, COLOURS["final"])
+    flight = calibrated(flight, settings.tof)
     known = references(flight, truth, other)
     origin = shift_of(flight.prior.position[0])  # voxel numbers and pictures need coordinates near zero
     with new_folder(output, FILES) as folder:
@@ -125,7 +128,7 @@ def run_recording(
         draw(folder, flight.name, near, drawn, known.truth and known.truth.moved(-origin))
         write(folder, found, numbers, {"source": flight.name, "odometry": method})
         written = ", ".join(sorted(file.name for file in folder.iterdir()))
-    notes = [*known.notes]
+    notes = [*known.notes, *rest_notes(flight, settings.odometry)]
     notes += [f"not smoothed: {found.estimate.unsmoothed}"] if found.estimate.unsmoothed else []
     notes += [f"no uncertainty: {found.estimate.unsure}"] if found.estimate.unsure else []
     labels = dict(zip(("prior", "corrected", "estimate"), paths, strict=False))
@@ -173,6 +176,17 @@ def correct_recording(
         points = mapped.voxels.means()
         bar = mapped.around(segments).bar_of(points)
     return Corrected(found, built, segments, points, bar)
+
+
+def rest_notes(flight: Flight, settings: OdometrySettings) -> list[str]:
+    """What the readings of an IMU say of a rest before the flight; nothing without an IMU."""
+    noise = getattr(settings, "inertial", None)
+    if noise is None or flight.imu is None:
+        return []
+    seconds = rest_duration_s(flight.imu, noise, flight.prior)
+    if not seconds:
+        return ["the IMU does not rest at the beginning: its biases and the vertical are found in flight"]
+    return [f"the IMU rests for the first {seconds:.1f} s: its biases and the vertical are estimated there"]
 
 
 def draw(

@@ -55,6 +55,9 @@ class TofSettings(CameraSettings):
     ``centre``, so its points lie half a pixel too far left and up, towards the ``corner``. With ``faults``, the sensor
     has the errors of a real one (`steelnb.simulation.tof_faults`); the noise of a range then depends on the amplitude
     of its return. ``draw``: number of the draw of the range noise; draws of one seed differ in nothing else.
+
+    Estimators are told what was measured before the flight: the camera reports ``range_scale`` times the distance plus
+    ``range_offset_m``, and ``range_scale_sigma`` and ``range_offset_sigma_m`` are the standard deviations of these two.
     """
 
     range_max_m: Positive = 4.0
@@ -68,6 +71,10 @@ class TofSettings(CameraSettings):
     draw: Annotated[int, Field(ge=0, lt=2**31)] = 0
     blind_s: tuple[tuple[float, float], ...] = ()
     faults: tuple[TofFault, ...] = ()
+    range_scale: Annotated[float, Field(ge=0.8, le=1.25)] = 1.0
+    range_offset_m: Annotated[float, Field(ge=-0.5, le=0.5)] = 0.0
+    range_scale_sigma: NotNegative = 0.0
+    range_offset_sigma_m: NotNegative = 0.0
 
     @model_validator(mode="after")
     def _has_pixels_and_steps(self) -> Self:
@@ -77,6 +84,10 @@ class TofSettings(CameraSettings):
             )
         self.sample_steps()  # raises for an unknown plot and for steps that do not increase
         return self
+
+    def uncalibrated(self) -> Self:
+        """The same camera without a measured calibration."""
+        return self.replace(range_scale=1.0, range_offset_m=0.0, range_scale_sigma=0.0, range_offset_sigma_m=0.0)
 
     def sample_steps(self) -> IntArray:
         """The steps of ``samples (N,)``; empty if scans are evenly spaced. Raises `InputError`."""

@@ -17,10 +17,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from steelnb.core.kernels import njit
 from steelnb.core.types import Array, Floats, IntArray
 from steelnb.settings import TofFault, TofSettings
 from steelnb.simulation.members import GROUND
+from steelnb.simulation.phasors import amplitudes, fill_bundle, mix_phasors, multipath, scattered_rays
 from steelnb.simulation.raycasting import RayScene, cast_bundle, rays
 
 _MAGIC = np.array([8, 1, 6, 3, 5, 7, 4, 9, 2])
@@ -30,14 +30,9 @@ a 3 × 3 grid, row by row. The magic square keeps rows and columns uncorrelated 
 middle moment. Such cameras also take nine raw images per scan (eight phases and a dark one)."""
 MIDDLE = 4
 """Index of a pixel's centre ray."""
-AMBIGUITY_M = 7.5
-"""Unambiguous range: half the wavelength at 20 MHz, the difference between the 60 and 80 MHz that such cameras use. Two
-returns less than half of it apart mix to a range between them."""
 WIGGLE_PERIOD_M = 0.625
 """A quarter of the 2.5 m period at 60 MHz: the light's odd harmonics, sampled at four phases (Lindner, Schiller, Kolb,
 Koch, "Time-of-Flight sensor calibration for accurate range sensing", CVIU 114, 2010)."""
-_OFFSET_M = 1e-3
-"""Scattered rays start this far off the surface, so that they do not hit it again."""
 
 
 @dataclass(frozen=True)
@@ -113,8 +108,7 @@ def expose(
     """
     bundle = _bundle(settings, faults, T_world_sensor, random)
     hit, count = cast_bundle(scene, bundle), bundle.shape[1]
-    cosine = np.abs((hit.normal * bundle[..., 3:]).sum(axis=2, dtype=np.float64))
-    amplitude = (faults.reflectivity * cosine / hit.range_m**2).astype(np.float32)  # 1/m², 0 for no return
+    amplitude = amplitudes(bundle, hit.range_m, hit.normal, faults.reflectivity)
     multipath_m, multipath_amplitude = np.zeros_like(hit.range_m), np.zeros_like(hit.range_m)
     near = np.flatnonzero((hit.member != GROUND) & (hit.range_m <= settings.range_max_m))
     if faults.multipath > 0 and len(near):
@@ -123,22 +117,27 @@ def expose(
         drawn = (stratum + random.random((len(near), 2))) / 3
         onward = np.empty((len(near), 6), np.float32)
         first = bundle.reshape(-1, 6), hit.range_m.ravel()
-        _scattered_rays(*first, hit.normal.reshape(-1, 3), near, drawn, onward)
+        scattered_rays(*first, hit.normal.reshape(-1, 3), near, drawn, onward)
         second = cast_bundle(scene, onward)
         range_2_m = np.where(second.member != GROUND, second.range_m, np.float32(np.inf))
         share = faults.multipath * faults.reflectivity**2
-        _multipath(*first, near, onward, range_2_m, second.normal, share, multipath_m.ravel(),
+        multipath(*first, near, onward, range_2_m, second.normal, share, multipath_m.ravel(),
                    multipath_amplitude.ravel())  # fmt: skip
     mixed, equivalent = np.empty(count), np.empty(count)
-    _mix_phasors(hit.range_m, amplitude, multipath_m, multipath_amplitude, mixed, equivalent)
-    with np.errstate(invalid="ignore"):  # ranges are infinite without light
-        wiggle = faults.wiggle_m * np.sin(2 * math.pi * mixed / WIGGLE_PERIOD_M + faults.phase_rad)
-    measured = np.where(np.isfinite(mixed), (1 + faults.scale_error) * mixed + faults.offset_m + wiggle, np.inf)
+    mix_phasors(hit.range_m, amplitude, multipath_m, multipath_amplitude, mixed, equivalent)
+    measured = reported_range(mixed, faults)
     shape = settings.rows, settings.columns
     return Exposure(
         measured.astype(np.float32).reshape(shape), equivalent.astype(np.float32).reshape(shape),
         hit.range_m[MIDDLE].reshape(shape), hit.member[MIDDLE].reshape(shape),
     )  # fmt: skip
+
+
+def reported_range(range_m: Array, faults: Faults) -> Array:
+    """Ranges ``(N,)`` as the camera reports them, metres: with its wiggle, scale and offset; infinite without light."""
+    with np.errstate(invalid="ignore"):
+        wiggle = faults.wiggle_m * np.sin(2 * math.pi * range_m / WIGGLE_PERIOD_M + faults.phase_rad)
+    return np.where(np.isfinite(range_m), (1 + faults.scale_error) * range_m + faults.offset_m + wiggle, np.inf)
 
 
 def _bundle(settings: TofSettings, faults: Faults, T_world_sensor: Array, random: np.random.Generator) -> Floats:
@@ -148,80 +147,7 @@ def _bundle(settings: TofSettings, faults: Faults, T_world_sensor: Array, random
     pixel = np.array([-math.tan(settings.fov_horizontal_rad / 2) * 2 / settings.columns,
                       -math.tan(settings.fov_vertical_rad / 2) * 2 / settings.rows])  # fmt: skip
     grid_px = faults.footprint_px / 3 * (np.array([(i % 3, i // 3) for i in range(9)]) - 1)
-    lateral_px = faults.lateral_px * random.standard_normal(plane.shape) if faults.lateral_px else 0.0
-    y, z = np.moveaxis(plane + (grid_px[:, None] + lateral_px) * pixel, -1, 0)[..., None]
-    T = T_world_sensor[:, None, :3]
-    bundle = np.empty((*y.shape[:2], 6), np.float32)
-    bundle[..., :3] = T[..., 3]
-    bundle[..., 3:] = (T[..., 0] + T[..., 1] * y + T[..., 2] * z) / np.sqrt(1 + y * y + z * z)
+    lateral_px = faults.lateral_px * random.standard_normal(plane.shape) if faults.lateral_px else np.zeros(plane.shape)
+    bundle = np.empty((len(grid_px), len(plane), 6), np.float32)
+    fill_bundle(np.ascontiguousarray(T_world_sensor), plane, grid_px, lateral_px, pixel, bundle)
     return bundle
-
-
-@njit(cache=True)
-def _scattered_rays(bundle, range_m, normal, near, uniform, onward):
-    """Write a scattered ray from each of the hits ``near (M,)`` to ``onward``. Its direction, the normal plus a random
-    unit vector, is cosine-distributed (Lambert)."""
-    for m in range(len(near)):
-        k = near[m]
-        cosine = 0.0
-        for i in range(3):
-            cosine += normal[k, i] * bundle[k, 3 + i]
-        side = -1.0 if cosine > 0 else 1.0
-        up, turn = 2 * uniform[m, 0] - 1, 2 * math.pi * uniform[m, 1]
-        flat = math.sqrt(1 - up * up)
-        x, y = side * normal[k, 0] + flat * math.cos(turn), side * normal[k, 1] + flat * math.sin(turn)
-        z = side * normal[k, 2] + up
-        length = max(math.sqrt(x * x + y * y + z * z), 1e-9)
-        onward[m, 3], onward[m, 4], onward[m, 5] = x / length, y / length, z / length
-        for i in range(3):
-            onward[m, i] = bundle[k, i] + range_m[k] * bundle[k, 3 + i] + _OFFSET_M * side * normal[k, i]
-
-
-@njit(cache=True)
-def _multipath(bundle, range_m, near, onward, range_2_m, normal_2, share, multipath_m, multipath_amplitude):
-    """Write half the path length and the amplitude of light that travels via the hits ``near`` and a second surface.
-
-    As scattered directions are cosine-distributed, a pixel's amplitude is the mean of ρ²·cos θ₂ / r₂² over its rays.
-    """
-    for m in range(len(near)):
-        if not np.isfinite(range_2_m[m]):
-            continue
-        k = near[m]
-        square, projection, facing = 0.0, 0.0, 0.0
-        for i in range(3):
-            back = bundle[k, i] - (onward[m, i] + range_2_m[m] * onward[m, 3 + i])  # from the second hit to the sensor
-            square += back * back
-            projection += back * normal_2[m, i]
-            facing += onward[m, 3 + i] * normal_2[m, i]
-        distance = math.sqrt(square)
-        cosine = (-projection if facing > 0 else projection) / distance
-        if cosine > 0:
-            multipath_m[k] = 0.5 * (distance + range_2_m[m] + range_m[k])
-            multipath_amplitude[k] = share * cosine / square
-
-
-@njit(cache=True)
-def _mix_phasors(range_m, amplitude, multipath_m, multipath_amplitude, mixed, equivalent):
-    """Write the range from the phase of a pixel's summed phasors, in the period around its strongest return, and the
-    equivalent range (`Exposure`) of their mean amplitude. Both are infinite without light."""
-    rays_a_pixel, wave = range_m.shape[0], 2 * math.pi / AMBIGUITY_M
-    for n in range(range_m.shape[1]):
-        strongest = 0
-        for s in range(rays_a_pixel):
-            if amplitude[s, n] > amplitude[strongest, n]:
-                strongest = s
-        mixed[n] = equivalent[n] = np.inf
-        if amplitude[strongest, n] <= 0:
-            continue
-        reference, real, imaginary = range_m[strongest, n], 0.0, 0.0
-        for s in range(rays_a_pixel):
-            if amplitude[s, n] > 0:
-                phase = wave * (range_m[s, n] - reference)
-                real += amplitude[s, n] * math.cos(phase)
-                imaginary += amplitude[s, n] * math.sin(phase)
-            if multipath_amplitude[s, n] > 0:
-                phase = wave * (multipath_m[s, n] - reference)
-                real += multipath_amplitude[s, n] * math.cos(phase)
-                imaginary += multipath_amplitude[s, n] * math.sin(phase)
-        mixed[n] = reference + math.atan2(imaginary, real) / wave
-        equivalent[n] = 1 / math.sqrt(max(math.hypot(real, imaginary) / rays_a_pixel, 1e-12))

@@ -14,7 +14,8 @@ from steelnb.metrics import score_trajectory
 from steelnb.odometry import make_odometry, run
 from steelnb.odometry.faces import odometry as faces
 from steelnb.odometry.imu_filter import InertialPrediction
-from steelnb.odometry.prediction import RegisteredPose
+from steelnb.odometry.inertial_state import ERROR
+from steelnb.odometry.prediction import NO_ERROR, LastingError, RegisteredPose
 from steelnb.points import VoxelMap
 from steelnb.settings import ImuSettings, OdometrySettings
 from steelnb.simulation import measured_imu
@@ -149,13 +150,14 @@ def test_an_odometry_takes_roll_and_pitch_from_the_readings_not_from_its_prior(w
         run(flight, make_odometry(settings, flight.T_drone_sensor, flight.imu)) for settings in (without, given)
     )
     assert tilt_rms_deg(kept.corrected, truth) > 3.0
-    assert tilt_rms_deg(found.corrected, truth) < 0.15
+    # The bias of the accelerometer is 0.039 m/s² across: a lean of 0.23 degrees, of which 16 s tell little.
+    assert tilt_rms_deg(found.corrected, truth) < 0.25
     error_m = score_trajectory(found.corrected, truth.trajectory)["ate_rmse_m"]
     assert error_m < min(0.03, 0.5 * score_trajectory(kept.corrected, truth.trajectory)["ate_rmse_m"])
     assert not any(found.reason[1:])
 
 
-def test_bars_correct_a_pose_that_clouds_have_led_astray_while_the_filter_was_sure_of_it(world, monkeypatch):
+def test_bars_correct_a_pose_that_clouds_have_led_astray_and_the_filter_expects_that(world, monkeypatch):
     monkeypatch.setattr(faces, "REFIT_S", 4.0)
     flight, truth = world
     flight = replace(flight, imu=measured_imu(flight.imu, SHEET, 3))
@@ -170,11 +172,11 @@ def test_bars_correct_a_pose_that_clouds_have_led_astray_while_the_filter_was_su
             elsewhere.insert(estimator.map_points() + np.array([0.0, 0.0, 0.08]))
             estimator.clouds.map = elsewhere
         estimator._located = (lambda *_: None) if begin <= k < end else located
-        estimator.update(flight.scans[k], flight.prior.T_world_drone[k])
+        step = estimator.update(flight.scans[k], flight.prior.T_world_drone[k])
         state = estimator.prediction.state
-        error_m.append(np.linalg.norm(state.T_world_drone[:3, 3] - true[k]))
+        error_m.append(np.linalg.norm(step.T_world_drone[:3, 3] - true[k]))
         if k == end - 1:
-            assert np.sqrt(np.diag(state.covariance)[POSE][3:]).max() < 0.005
+            assert 0.01 < np.sqrt(np.diag(state.covariance)[POSE][3:]).max() < 0.04
     assert error_m[begin - 1] < 0.02 < 0.05 < error_m[end - 1]
     assert error_m[-1] < 0.02
 
@@ -202,3 +204,83 @@ def test_an_imu_without_errors_is_no_division_by_zero():
         prediction.lose()
     assert np.isfinite(prediction.state.covariance).all()
     assert np.abs(apart(prediction.state.T_world_drone, true[-1])[3:]).max() < 0.05
+
+
+def gauss_markov(lasting, stamp_s, rng):
+    """Errors (K, 6) of registrations, zero at the first scan."""
+    error, decay = np.zeros((len(stamp_s), 6)), np.exp(-np.diff(stamp_s) / lasting.time_s)
+    for k, each in enumerate(decay):
+        error[k + 1] = each * error[k] + np.sqrt((1 - each**2) * lasting.variance) * rng.normal(size=6)
+    return error
+
+
+def squares_of(model, lasting):
+    """Mean normalised squared errors of position, velocity, roll and pitch, if registrations have a ``lasting`` error
+    and the filter believes in a ``model`` of it."""
+    trajectory, imu, _ = swaying(60)
+    true, stamp_s = trajectory.T_world_drone[::EVERY], trajectory.stamp_s[::EVERY]
+    velocity = np.gradient(trajectory.position, trajectory.stamp_s, axis=0)[::EVERY]
+    squares = []
+    for seed in range(12):
+        rng = np.random.default_rng(seed)
+        prediction = InertialPrediction(measured_imu(imu, SHEET, seed), SHEET)
+        prior, lost = drifted(true, rng), gauss_markov(lasting, stamp_s, rng)
+        for k, T in enumerate(true):
+            T_init = prediction.pose(prior[k], stamp_s[k], model)
+            noise = rng.normal(size=6) * np.sqrt(np.diag(np.linalg.inv(TOLD)))
+            measured = exp_about(T[:3, 3], lost[k] + noise) @ T
+            before = prediction.information
+            step = np.linalg.solve(before + TOLD, TOLD @ apart(T_init, measured))
+            prediction.correct(RegisteredPose(exp_about(T_init[:3, 3], step) @ T_init, H=before + TOLD))
+            if k > 10:
+                state = prediction.state
+                e, P = apart(state.T_world_drone, T), state.covariance
+                v = velocity[k] - state.velocity
+                squares.append([
+                    e[3:] @ np.linalg.solve(P[3:6, 3:6], e[3:]) / 3, v @ np.linalg.solve(P[6:9, 6:9], v) / 3,
+                    e[:2] @ np.linalg.solve(P[:2, :2], e[:2]) / 2,
+                ])  # fmt: skip
+    return np.mean(squares, axis=0)
+
+
+def test_a_hundred_registrations_that_share_an_error_do_not_count_a_hundred_times():
+    lasting = LastingError(0.003, 0.03, 10.0)
+    position, velocity, tilt = squares_of(lasting, lasting)
+    assert 0.5 < position < 1.5
+    assert 0.5 < velocity < 1.5
+    assert 0.4 < tilt < 1.8
+    assert squares_of(NO_ERROR, lasting)[0] > 5
+
+
+def test_another_map_has_an_error_of_its_own():
+    true, stamp_s, imu = at_scans(12)
+    one, other = LastingError(0.003, 0.03, 10.0), LastingError(0.001, 0.01, 20.0)
+    prediction = InertialPrediction(imu, SHEET)
+    for k in range(8):
+        prediction.pose(true[k], stamp_s[k], one)
+        prediction.correct(
+            RegisteredPose(
+                exp_about(true[k, :3, 3], np.array([0, 0, 0, 0.02 * (k > 0), 0, 0])) @ true[k],
+                H=prediction.information + 100 * TOLD,
+            )
+        )
+    assert prediction.state.error[3] > 0.005
+    prediction.pose(true[8], stamp_s[8], other)
+    assert np.abs(prediction.predicted.error).max() == 0.0
+    np.testing.assert_allclose(np.diag(prediction.predicted.covariance)[ERROR], other.variance, rtol=1e-6)
+    before = prediction.state.T_registered
+    prediction.adjust(np.eye(4), np.full(6, 1e-6))  # adjusted bars go with the registered pose
+    np.testing.assert_allclose(prediction.state.T_world_drone, before, atol=1e-12)
+
+
+def test_roll_and_pitch_that_are_put_out_are_those_of_gravity():
+    true, stamp_s, imu = at_scans(60)
+    leaning = np.array([0.01, 0.0, 0.0, 0.0, 0.0, 0.0])
+    prediction = InertialPrediction(imu, SHEET)
+    for k, T in enumerate(true):
+        prediction.pose(T, stamp_s[k], LastingError(0.01, 0.03, 10.0))
+        registered = exp_about(T[:3, 3], leaning * (k > 0)) @ T
+        prediction.correct(RegisteredPose(registered, H=prediction.information + 100 * TOLD))
+    level = prediction.levelled(registered)
+    assert np.abs(apart(level, true[-1])[:2]).max() < 0.004 < np.abs(apart(registered, true[-1])[:2]).max()
+    np.testing.assert_array_equal(level[:3, 3], registered[:3, 3])

@@ -11,6 +11,7 @@ from steelnb.core.types import Trajectory
 from steelnb.settings import FlightSettings, TofSettings
 from steelnb.simulation import build_tower, scan_flight
 from steelnb.simulation.paths import pose_on_path
+from steelnb.simulation.phasors import amplitudes, fill_bundle, mix_phasors
 from steelnb.simulation.raycasting import cast_rays, make_scene, rays
 from steelnb.simulation.tof import TofCamera, measured_ranges, take_view
 from steelnb.simulation.tof_faults import (
@@ -19,7 +20,6 @@ from steelnb.simulation.tof_faults import (
     STARLING2_FAULTS,
     WIGGLE_PERIOD_M,
     Faults,
-    _mix_phasors,
     draw_faults,
     expose,
 )
@@ -96,7 +96,7 @@ def test_mixing_phasors_equals_its_slow_twin():
     multipath_m = (range_m + random.uniform(0, 1, range_m.shape)).astype(np.float32)
     multipath_amplitude = np.where(random.random(range_m.shape) < 0.5, 0.3 * light, 0).astype(np.float32)
     mixed, equivalent = np.empty(40), np.empty(40)
-    _mix_phasors(range_m, light, multipath_m, multipath_amplitude, mixed, equivalent)
+    mix_phasors(range_m, light, multipath_m, multipath_amplitude, mixed, equivalent)
     expected = np.array(
         [naive.mixed(*column) for column in zip(range_m.T, light.T, multipath_m.T, multipath_amplitude.T, strict=True)]
     )
@@ -254,3 +254,19 @@ def test_a_view_with_faults_is_an_exposure():
     )
     assert np.linalg.norm(ideal.points - ideal.surface, axis=1).max() < 1e-4
     assert np.linalg.norm(worse.points - worse.surface, axis=1).max() > 0.05
+
+
+def test_rays_and_amplitudes_of_kernels_are_those_of_numpy_to_the_bit():
+    random = np.random.default_rng(3)
+    T = np.stack([pose_on_path(TOWER, FlightSettings.preset("zigzag"), share) for share in np.linspace(0.1, 0.3, 9)])
+    plane, grid, lateral = random.normal(size=(50, 2)), random.normal(size=(9, 2)), random.normal(size=(50, 2))
+    pixel, bundle = np.array([-0.01, -0.02]), np.empty((9, 50, 6), np.float32)
+    fill_bundle(T, plane, grid, lateral, pixel, bundle)
+    np.testing.assert_array_equal(bundle, naive.fill_bundle(T, plane, grid, lateral, pixel))
+    range_m = random.uniform(0.2, 6.0, (9, 50)).astype(np.float32)
+    range_m[:, ::7] = np.inf
+    normal = random.normal(size=(9, 50, 3)).astype(np.float32)
+    found = amplitudes(bundle, range_m, normal, 0.5)
+    np.testing.assert_array_equal(found, naive.amplitudes(bundle, range_m, normal, 0.5))
+    assert (found[:, ::7] == 0).all()
+    assert (found[:, 1::7] > 0).all()

@@ -97,6 +97,18 @@ def pose_covariances(pose: Array, T_world_sensor: Array, T_drone_sensor: Array) 
     return result
 
 
+def with_range_sigmas(
+    covariance: Array, T_world_sensor: Array, range_sigmas: tuple[float, float], range_m: float
+) -> Array:
+    """Covariances ``(K, 6, 6)`` of `pose_covariances` with the errors that a calibration of the ranges leaves:
+    ``range_sigmas`` of scale and offset, metres. An error of scale stretches the path from the first pose by its share,
+    an error of offset by its share of the usual range ``range_m``."""
+    share = range_sigmas[0] ** 2 + (range_sigmas[1] / range_m) ** 2
+    shift, result = T_world_sensor[:, :3, 3] - T_world_sensor[0, :3, 3], covariance.copy()
+    result[:, :3, :3] += share * shift[:, :, None] * shift[:, None, :]
+    return result
+
+
 def axis_covariances(bar: Array, segments: Segments, across: Array, sigma_ratio: float) -> Array:
     """Covariances ``(B, 4, 4)`` of the axes of bars, from their marginals ``(B, 6, 6)`` in the frames ``across``.
 

@@ -15,13 +15,12 @@ from concurrent.futures import Future, ThreadPoolExecutor
 import numpy as np
 
 from steelnb.core.arguments import checks_arguments
-from steelnb.core.geometry import UPRIGHT_DOF, information_at, moved_poses, pose_step
+from steelnb.core.geometry import information_at, moved_poses, pose_step
 from steelnb.core.types import Array, Imu, Scan, Segments
 from steelnb.fusion.adjustment.drift_factors import (
     DRIFT_PERIOD_S,
     DRIFT_SIGMA,
     TILT_SIGMA_RAD,
-    drift_variance,
     pose_size,
 )
 from steelnb.fusion.adjustment.problem import Problem
@@ -30,7 +29,7 @@ from steelnb.odometry.clouds import CloudOdometry
 from steelnb.odometry.faces.keyframes import Keyframes
 from steelnb.odometry.faces.scan_to_bars import SCAN_POINTS_MIN, Fit, Locator, points_in_range
 from steelnb.odometry.imu_filter import InertialPrediction
-from steelnb.odometry.prediction import RegisteredPose
+from steelnb.odometry.prediction import LastingError, RegisteredPose
 from steelnb.settings import FaceSettings, OdometrySettings, StructureSettings
 
 KEYFRAME_S = 1.0
@@ -41,6 +40,9 @@ ADOPT_S = 2.0
 on the machine's speed; an adjustment takes up to 2 s on one core of a laptop."""
 SCAN_POINTS, KEYFRAME_POINTS = 2000, 4000
 """Number of points registered from a scan, and kept of a keyframe to fit bars to."""
+FACE_ERROR = LastingError(sigma_rad=0.002, sigma_m=0.02, time_s=20.0)
+"""Lasting error of registrations to bars, which are adjusted together with the poses that observed them. Chosen like
+`clouds.CLOUD_ERROR`."""
 REFITTED_SIGMA = np.array([0.001, 0.001, 0.001, 0.003, 0.003, 0.003])
 """Standard deviation of the latest pose relative to the adjusted bars, radians and metres."""
 GATE = {4: 18.5, 6: 22.5}
@@ -76,8 +78,6 @@ class FaceOdometry(BaseOdometry):
             self.keyframes.readings = self.inertial.imu, self.inertial.noise, self.T_drone_sensor
         self.faces: Locator | None = None
         self._stamp_s, self._keyframe_s, self._refit_s = -np.inf, -np.inf, np.inf
-        # Variance of yaw and position by the prior's drift since the last registration to faces.
-        self._drift = np.zeros(UPRIGHT_DOF)
         # The step from the estimate to the output pose.
         self._lag = np.zeros(pose_size(self.tilt_sigma_rad))
         self._adjustment: Future[Problem | None] | None = None
@@ -87,18 +87,16 @@ class FaceOdometry(BaseOdometry):
     def _update(self, scan: Scan, prior: Array, watch: Stopwatch) -> Outcome:
         if not scan.stamp_s > self._stamp_s:  # assume the usual rate for scans without stamps
             scan = Scan(self._stamp_s + DRIFT_PERIOD_S, scan.points, scan.fault)
-        passed_s, self._stamp_s = scan.stamp_s - self._stamp_s, scan.stamp_s
+        self._stamp_s = scan.stamp_s
         fit = self._located(scan, prior)
         if fit is None:
-            self._drift = self._drift + drift_variance(passed_s if self.faces else 0.0)
             T_world_drone, reason, matches, unobserved = self.clouds.corrected(scan, prior, watch)
         else:
             T_world_drone, reason, matches, unobserved = fit.T_world_sensor @ self.T_sensor_drone, "", fit.bars, 0
             arm = fit.T_world_sensor[:3, :3] @ self.T_sensor_drone[:3, 3]
             self.prediction.correct(RegisteredPose(T_world_drone, H=fit.information, arm=arm))
-            self._drift = np.zeros(UPRIGHT_DOF)
             watch.lap("register")
-        output = self._output_pose(T_world_drone)
+        output = self._output_pose(self.prediction.levelled(T_world_drone))
         if reason in ("", "first scan") and scan.stamp_s >= self._keyframe_s + KEYFRAME_S - 1e-6:
             self._add_keyframe(scan, T_world_drone, prior, mapped=fit is None)
             watch.lap("map")
@@ -116,22 +114,17 @@ class FaceOdometry(BaseOdometry):
         return self.faces.bars.take(self.faces.bars.is_bar).segments if self.faces else Segments.empty()
 
     def _located(self, scan: Scan, prior: Array) -> Fit | None:
-        """Registration of a scan to front faces; None if it is rejected.
-
-        A registration to a cloud map says how the drone moved since the map was made, not where the bars are. The
-        filter does not know this, and claims 2 mm where it is off by 100 mm. So since the last registration to faces,
-        the pose is taken to be as uncertain as the prior's drift.
-        """
+        """Registration of a scan to front faces; None if it is rejected."""
         if self.faces is None:
             return None
         self.faces.predict(scan.stamp_s)
-        s, T_sensor = self.settings.preprocess, self.prediction.pose(prior, scan.stamp_s) @ self.T_drone_sensor
+        s, T_predicted = self.settings.preprocess, self.prediction.pose(prior, scan.stamp_s, FACE_ERROR)
+        T_sensor = T_predicted @ self.T_drone_sensor
         points = points_in_range(scan, T_sensor, s.crop_m, s.floor_m, SCAN_POINTS)
         if len(points) < SCAN_POINTS_MIN:
             return None
         known, size = None, len(self._lag)
         if self.inertial:
-            self.inertial.loosen(self._drift)
             known = information_at(self.inertial.information, -(T_sensor[:3, :3] @ self.T_sensor_drone[:3, 3]))
         fit = self.faces.fit(points, T_sensor, known=known)
         error = pose_step(T_sensor, fit.T_world_sensor, size)
