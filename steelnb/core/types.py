@@ -125,10 +125,9 @@ class Scan:
 class Flight:
     """The input of every estimator, from a simulation, a bag or a folder of scans. It contains no ground truth.
 
-    ``scans``: K scans in the sensor frame, in memory or read from disk on access; ``prior``: the drifting poses of the
-    drone at the scans; ``T_drone_sensor (4, 4)``: the sensor's mount; ``imu`` and ``images``: None if there are none;
-    ``range_sigmas``: standard deviations of scale and offset (m) of calibrated ranges; ``name``: for titles and files;
-    ``facts``: the source of each part of a recording; ``skipped``: what was left out on opening, by reason.
+    ``scans``: K scans in the sensor frame, in memory or on disk; ``prior``: the drifting poses of the drone at the
+    scans; ``T_drone_sensor (4, 4)``: the sensor's mount; ``facts``: the source of each part of a recording;
+    ``skipped``: what was left out on opening, by reason; ``range_sigmas``: of scale and offset (m), once calibrated.
     """
 
     scans: Sequence[Scan]
