@@ -46,7 +46,7 @@ def test_a_comparison_is_its_single_runs(runs):
 
 def test_the_flight_holds_no_truth():
     assert {field.name for field in dataclasses.fields(Flight)} == {
-        "scans", "prior", "imu", "T_drone_sensor", "name", "facts", "skipped", "images"
+        "scans", "prior", "imu", "T_drone_sensor", "name", "facts", "skipped", "images", "range_sigmas"
     }  # fmt: skip
 
 
