@@ -60,7 +60,7 @@ def fly(tower: Tower, settings: FlightSettings, seed: rng.Seed, pilot: Pilot | N
     `minimum_jerk` through waypoints, or `setpoints` without waypoints. With a ``pilot``, it starts at their first point
     and follows the pilot's commands. `gusts` act through drag. World frame and REP 103 drone frame; specific force
     (m/s²) and angular rate (rad/s) are means over the step that ends at their stamp. Raises `InputError` if the drone
-    stands all the time, and `CollisionError`, with time and position, when the body touches the structure or the ground.
+    only stands, and `CollisionError`, with time and position, when the body touches the structure or the ground.
     """
     if not settings.still_s < settings.duration_s:
         raise InputError(f"still_s = {settings.still_s:g}: expected less than the flight's {settings.duration_s:g} s")
