@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from steelnb.core import rng
 from steelnb.core.arguments import checks_arguments
-from steelnb.core.errors import CollisionError, InputError
+from steelnb.core.errors import CollisionError
 from steelnb.core.types import GRAVITY, Array, Imu, Trajectory
 from steelnb.settings import FlightSettings
 from steelnb.settings.report_plots import STEP_S
@@ -59,11 +59,9 @@ def fly(tower: Tower, settings: FlightSettings, seed: rng.Seed, pilot: Pilot | N
     The drone is a rigid body of 275 g, driven by thrust along its z axis and by torques. A velocity controller follows
     `minimum_jerk` through waypoints, or `setpoints` without waypoints. With a ``pilot``, it starts at their first point
     and follows the pilot's commands. `gusts` act through drag. World frame and REP 103 drone frame; specific force
-    (m/s²) and angular rate (rad/s) are means over the step that ends at their stamp. Raises `InputError` if the drone
-    only stands, and `CollisionError`, with time and position, when the body touches the structure or the ground.
+    (m/s²) and angular rate (rad/s) are means over the step that ends at their stamp. Raises `CollisionError`, with time
+    and position, when the body touches the structure or the ground.
     """
-    if not settings.still_s < settings.duration_s:
-        raise InputError(f"still_s = {settings.still_s:g}: expected less than the flight's {settings.duration_s:g} s")
     pybullet = _import_pybullet()
     steps = round(settings.duration_s / STEP_S)
     time_s = np.arange(steps, dtype=np.float64) * STEP_S

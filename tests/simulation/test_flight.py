@@ -6,7 +6,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from steelnb.core import rng
-from steelnb.core.errors import CollisionError, InputError
+from steelnb.core.errors import CollisionError
 from steelnb.settings import FlightSettings, TowerSettings
 from steelnb.simulation import build_tower, fly
 from steelnb.simulation.flight import gusts
@@ -93,9 +93,3 @@ def test_memory_does_not_grow_with_the_number_of_flights_and_of_towers():
         return int(Path("/proc/self/statm").read_text().split()[1])
 
     assert pages_after(5) + 5 * 256 > pages_after(30)  # pages of 4 KiB
-
-
-def test_a_flight_that_only_stands_is_refused():
-    settings = FlightSettings.preset("loops", 5.0).replace(still_s=6.0)
-    with pytest.raises(InputError, match=r"still_s = 6: expected less than the flight's 5 s"):
-        fly(build_tower(), settings, 1)
