@@ -125,8 +125,7 @@ def estimate(
     before = broken_off(settings)
     if isinstance(flight.scans, RangeScans) and flight.images is None:
         given = flight.scans, flight.prior, flight.T_drone_sensor, flight.imu, before and before.scans
-        told = (flight.range_sigmas,) if any(flight.range_sigmas) else ()
-        key = "estimate", settings.odometry.model_dump_json(), *given, *told
+        key = "estimate", settings.odometry.model_dump_json(), *given, flight.range_sigmas
         found = cached(lambda: correct(flight, settings.odometry, on_step, before=before), *key)
     else:  # images and recorded scans have no fast cache key
         found = correct(flight, settings.odometry, on_step, before=before)

@@ -1,6 +1,6 @@
 """What pages and notebooks say is what the files of results say. Each number is looked up in the files that its
 sentence links, and a notebook's conclusions also in its own results. A number that no file holds is stale, or belongs
-into one."""
+in one."""
 
 import json
 import re

@@ -21,7 +21,7 @@ R = TypeVar("R")
 
 
 class Demand(NamedTuple):
-    """What an annotation asks for: whether a value is of it, it in words, and the value as such."""
+    """What an annotation asks for: a test of values, words for the message, and the conversion of accepted values."""
 
     accepts: Callable[[Any], bool]
     words: str
@@ -67,7 +67,7 @@ def checks_arguments(function: Callable[P, R]) -> Callable[P, R]:
     def checked(*args: P.args, **kwargs: P.kwargs) -> R:
         if not kinds:
             hints = typing.get_type_hints(function)
-            kinds.update({name: _kind_of(hints.get(name, Any)) for name in parameters})
+            kinds.update({name: _demand_of(hints.get(name, Any)) for name in parameters})
         by_place = [as_annotated(name, value) for name, value in zip(parameters, args, strict=False)]
         by_name = {name: as_annotated(name, value) for name, value in kwargs.items()}
         return function(*by_place, *args[len(parameters) :], **by_name)  # type: ignore[arg-type]
@@ -75,13 +75,13 @@ def checks_arguments(function: Callable[P, R]) -> Callable[P, R]:
     return checked
 
 
-def _kind_of(hint: Any) -> Demand:
-    """The kind of an annotation; that of what is not checked accepts all, and has no words."""
+def _demand_of(hint: Any) -> Demand:
+    """What an annotation asks for. If it is not checked, all values are accepted, and there are no words."""
     origin, of = typing.get_origin(hint), typing.get_args(hint)
     if hint in SIMPLE or hint is Any:
         return SIMPLE.get(hint, UNCHECKED)
     if origin in (typing.Union, types.UnionType):
-        kinds = [_kind_of(each) for each in of]
+        kinds = [_demand_of(each) for each in of]
         if all(kind.words for kind in kinds):
             return Demand(
                 lambda value: any(kind.accepts(value) for kind in kinds),

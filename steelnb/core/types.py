@@ -126,8 +126,9 @@ class Flight:
     """The input of every estimator, from a simulation, a bag or a folder of scans. It contains no ground truth.
 
     ``scans``: K scans in the sensor frame, in memory or on disk; ``prior``: the drifting poses of the drone at the
-    scans; ``T_drone_sensor (4, 4)``: the sensor's mount; ``facts``: the source of each part of a recording;
-    ``skipped``: what was left out on opening, by reason; ``range_sigmas``: of scale and offset (m), once calibrated.
+    scans; ``T_drone_sensor (4, 4)``: the sensor's mount; ``imu`` and ``images`` may be None; ``name``: for titles and
+    files; ``facts``: the source of each part of a recording; ``skipped``: number of messages or files left out, by
+    reason; ``range_sigmas``: standard deviations of scale and offset (m) of calibrated ranges, zero if unknown.
     """
 
     scans: Sequence[Scan]
@@ -147,8 +148,7 @@ class Flight:
         checks.check_sequence(self.scans, "Flight.scans", "Scan")
         stamp_s = getattr(self.scans, "stamp_s", None)  # known without reading the scans
         if stamp_s is None and isinstance(self.scans, list | tuple):
-            scans = (checks.checked_kind(scan, f"Flight.scans[{k}]", Scan) for k, scan in enumerate(self.scans))
-            stamp_s = [scan.stamp_s for scan in scans]
+            stamp_s = [checks.checked_kind(s, f"Flight.scans[{k}]", Scan).stamp_s for k, s in enumerate(self.scans)]
         known_s = self.prior.stamp_s if stamp_s is None else np.asarray(stamp_s)
         checks.check_length(self.scans, "Flight.scans", len(self.prior), "one a pose")
         checks.check_same_stamps(known_s, "Flight.scans", self.prior.stamp_s, "the poses in Flight.prior")
