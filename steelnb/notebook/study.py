@@ -30,6 +30,7 @@ from steelnb.notebook.tables import case_of, stage_times
 from steelnb.settings import ExperimentSettings, Settings, TrajectoryName, read_tables
 from steelnb.settings.base import Duration, SeedOrReport
 from steelnb.settings.presets import members_file
+from steelnb.simulation.calibration import measure_calibration
 
 RUN_COLUMNS = ("sensor", "duration_s", "trajectory", "seed", "noise", "variant", "method")
 """Columns that identify a run; tables are sorted by them."""
@@ -66,7 +67,8 @@ class Grid(Settings):
     """Values to combine; one table of a study's file.
 
     ``seeds``: a list, or a range such as ``"101-130"``, which includes both ends; a list may hold ranges. ``variants``:
-    name of the variant in tables → changed settings. Values that are given twice count once.
+    name of the variant in tables → changed settings. ``calibrated``: the camera of each seed is measured before its
+    flight, and its settings told (`measure_calibration`). Values that are given twice count once.
     """
 
     seeds: Annotated[list[SeedOrReport], Field(min_length=1)]
@@ -76,6 +78,7 @@ class Grid(Settings):
     methods: Annotated[list[str], Field(min_length=1)]
     duration_s: Duration = 200.0
     variants: Annotated[dict[str, dict[str, Any]], Field(min_length=1)] = {"": {}}  # noqa: RUF012
+    calibrated: bool = False
 
     @field_validator("seeds", mode="before")
     @classmethod
@@ -90,10 +93,12 @@ class Grid(Settings):
     def runs(self) -> list[Run]:
         """One run per combination. Raises `InputError`."""
         axes = self.sensors, self.trajectories, self.seeds, self.noises, self.variants.items(), self.methods
-        return [
-            Run(ExperimentSettings.preset(trajectory, noise, method, sensor, seed, self.duration_s, changes), variant)
-            for sensor, trajectory, seed, noise, (variant, changes), method in itertools.product(*axes)
-        ]
+        runs = []
+        for sensor, trajectory, seed, noise, (variant, changes), method in itertools.product(*axes):
+            settings = ExperimentSettings.preset(trajectory, noise, method, sensor, seed, self.duration_s, changes)
+            told = measure_calibration(settings.tof, seed) if self.calibrated else {}
+            runs.append(Run(settings.override(told), variant))
+        return runs
 
 
 def _seeds(value: Any) -> list[Any]:

@@ -156,7 +156,7 @@ class InertialPrediction:
         if first is None or stamp_s - first.stamp_s < REST_MIN_S - 1e-6:
             return None
         rest = find_rest(self.imu, self.noise, first.stamp_s, stamp_s)
-        if rest is None or not prior_rests(first.prior, prior, rest.seconds):
+        if rest is None or not prior_rests(first.prior, prior, stamp_s - first.stamp_s):
             self.first = None
             return None
         step, P = after_rest(rest, self.noise, first.T_world_drone[:3, :3], first.covariance)

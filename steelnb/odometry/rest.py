@@ -18,6 +18,8 @@ from steelnb.settings import ImuSettings
 
 REST_MIN_S = 1.0
 """A shorter rest is not used: it could be the beginning of a slow motion."""
+REST_MAX_S = 30.0
+"""Of a longer rest, the last readings count: biases walk."""
 WINDOW_S = 0.2
 SIGMAS = 5.0
 """Bound on the difference between the mean of a window and that of the first `REST_MIN_S`, and on the prior's motion,
@@ -38,7 +40,9 @@ class Rest(NamedTuple):
 
 
 def find_rest(imu: Imu, noise: ImuSettings, begin_s: float, end_s: float) -> Rest | None:
-    """The rest from ``begin_s`` to ``end_s``, at least `REST_MIN_S`, by the readings in between; None if any moved."""
+    """The rest from ``begin_s`` to ``end_s``, at least `REST_MIN_S`, by its readings, at most the last `REST_MAX_S`;
+    None if any moved."""
+    begin_s = max(begin_s, end_s - REST_MAX_S)
     first, last = np.searchsorted(imu.stamp_s, [begin_s, end_s], side="right")
     count = int(last - first)
     step_s = (end_s - begin_s) / max(count, 1)
@@ -70,9 +74,10 @@ def rest_duration_s(imu: Imu, noise: ImuSettings, prior: Trajectory) -> float:
         if stamp_s - begin_s < REST_MIN_S - 1e-6:
             continue
         rest = find_rest(imu, noise, begin_s, float(stamp_s))
-        if rest is None or not prior_rests(prior.T_world_drone[0], T, rest.seconds):
+        passed_s = float(stamp_s) - begin_s
+        if rest is None or not prior_rests(prior.T_world_drone[0], T, passed_s):
             break
-        found_s = rest.seconds
+        found_s = passed_s
     return found_s
 
 

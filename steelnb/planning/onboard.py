@@ -57,8 +57,7 @@ class OnboardPilot:
     def _see(self, scan: Scan, prior: Array) -> None:
         """Update the odometry with a scan, and pass the scan to the planner."""
         tof = self.settings.tof
-        if tof.range_scale != 1.0 or tof.range_offset_m:
-            scan = calibrated_scan(scan, tof.range_scale, tof.range_offset_m)
+        scan = calibrated_scan(scan, tof.range_scale, tof.range_offset_m)
         self.steps.append(self.odometry.update(scan, prior))
         self._last_prior = prior
         T = self.steps[-1].T_world_drone

@@ -9,22 +9,46 @@ from dataclasses import replace
 
 import numpy as np
 
+from steelnb.core.checks import checked_array
+from steelnb.core.errors import InputError
 from steelnb.core.range_scans import RangeScans
 from steelnb.core.types import Array, Flight, Floats, Scan
 from steelnb.settings import TofSettings
+
+
+def fitted_calibration(distance_m: Array, range_m: Array) -> dict[str, float]:
+    """Scale and offset of ranges ``(N,)`` at known distances ``(N,)``, metres, by least squares, with their standard
+    deviations, as overrides of the table ``tof``. Raises `InputError` below three different distances."""
+    distance_m = checked_array(distance_m, "distance_m", ("N",))
+    range_m = checked_array(range_m, "range_m", (len(distance_m),))
+    different = len(np.unique(distance_m))
+    if different < 3 or min(distance_m.min(), range_m.min()) <= 0:
+        raise InputError(f"a calibration: expected positive ranges at 3 distances or more; found {different} distances")
+    A = np.column_stack([distance_m, np.ones(len(distance_m))])
+    (scale, offset_m), *_ = np.linalg.lstsq(A, range_m, rcond=None)
+    residual = range_m - A @ [scale, offset_m]
+    variance = np.diag(np.linalg.inv(A.T @ A)) * (residual @ residual) / (len(distance_m) - 2)
+    names = "range_scale", "range_offset_m", "range_scale_sigma", "range_offset_sigma_m"
+    values = scale, offset_m, *np.sqrt(variance)
+    return {f"tof.{name}": float(value) for name, value in zip(names, values, strict=True)}
 
 
 def calibrated(flight: Flight, tof: TofSettings) -> Flight:
     """The flight with corrected ranges ``(r − tof.range_offset_m) / tof.range_scale``, metres, and with the standard
     deviations that these leave; the same object without a calibration. Ranges that are not positive become NaN."""
     sigmas = tof.range_scale_sigma, tof.range_offset_sigma_m
-    if tof.range_scale == 1.0 and tof.range_offset_m == 0.0:
+    if not corrects(tof.range_scale, tof.range_offset_m):
         return replace(flight, range_sigmas=sigmas) if any(sigmas) else flight
     scans: Sequence[Scan] = CalibratedScans(flight.scans, tof.range_scale, tof.range_offset_m)
     if isinstance(flight.scans, RangeScans):
         range_m = corrected_ranges(flight.scans.range_m, tof.range_scale, tof.range_offset_m).astype(np.float32)
         scans = RangeScans(flight.scans.stamp_s, range_m, flight.scans.ray)
     return replace(flight, scans=scans, range_sigmas=sigmas)
+
+
+def corrects(scale: float, offset_m: float) -> bool:
+    """Whether this calibration changes ranges."""
+    return scale != 1.0 or offset_m != 0.0
 
 
 def corrected_ranges(range_m: Array | Floats, scale: float, offset_m: float) -> Array:
@@ -35,7 +59,9 @@ def corrected_ranges(range_m: Array | Floats, scale: float, offset_m: float) -> 
 
 
 def calibrated_scan(scan: Scan, scale: float, offset_m: float) -> Scan:
-    """One scan with corrected ranges."""
+    """One scan with corrected ranges; the same object without a calibration."""
+    if not corrects(scale, offset_m):
+        return scan
     range_m = np.linalg.norm(scan.points, axis=-1, keepdims=True)
     share = corrected_ranges(range_m, scale, offset_m) / np.where(range_m > 0, range_m, 1.0)
     return Scan(scan.stamp_s, scan.points * np.where(range_m == 0, 1.0, share), scan.fault)

@@ -3,7 +3,7 @@
 import numpy as np
 
 from steelnb.core import rng
-from steelnb.core.types import Array
+from steelnb.points.calibration import fitted_calibration
 from steelnb.settings import TofSettings
 from steelnb.simulation.tof_faults import draw_faults, reported_range
 
@@ -27,15 +27,3 @@ def measure_calibration(settings: TofSettings, seed: rng.Seed) -> dict[str, floa
     sigma_m = np.maximum(settings.sigma_floor_m, settings.sigma_relative * DISTANCES_M) / np.sqrt(PIXELS)
     range_m = DISTANCES_M if faults is None else reported_range(DISTANCES_M, faults)
     return fitted_calibration(DISTANCES_M + TAPE_SIGMA_M * tape_m, range_m + sigma_m * noise)
-
-
-def fitted_calibration(distance_m: Array, range_m: Array) -> dict[str, float]:
-    """Scale and offset of ranges ``(N,)`` at known distances ``(N,)``, metres, N > 2, by least squares, with their
-    standard deviations, as overrides of the table ``tof``."""
-    A = np.column_stack([distance_m, np.ones(len(distance_m))])
-    (scale, offset_m), *_ = np.linalg.lstsq(A, range_m, rcond=None)
-    residual = range_m - A @ [scale, offset_m]
-    variance = np.diag(np.linalg.inv(A.T @ A)) * (residual @ residual) / (len(distance_m) - 2)
-    names = "range_scale", "range_offset_m", "range_scale_sigma", "range_offset_sigma_m"
-    values = scale, offset_m, *np.sqrt(variance)
-    return {f"tof.{name}": float(value) for name, value in zip(names, values, strict=True)}

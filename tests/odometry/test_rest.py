@@ -5,7 +5,7 @@ import pytest
 
 from steelnb.core.types import Imu, Trajectory
 from steelnb.odometry.imu_filter import InertialPrediction
-from steelnb.odometry.rest import REST_MIN_S, find_rest, prior_rests, rest_duration_s
+from steelnb.odometry.rest import REST_MAX_S, REST_MIN_S, find_rest, prior_rests, rest_duration_s
 from steelnb.settings import ImuSettings
 from steelnb.simulation import measured_imu
 
@@ -47,6 +47,17 @@ def test_no_rest_is_found_in_the_air_nor_without_readings_nor_in_noise_above_the
     assert find_rest(imu, shaking, 0.0, 2.0) is not None
     few = Imu(imu.stamp_s[::40], imu.specific_force[::40], imu.angular_rate[::40])
     assert find_rest(few, shaking, 0.0, 2.0) is None
+
+
+def test_of_a_long_rest_the_last_readings_count():
+    stamp_s = np.arange(round(40 / STEP_S)) * STEP_S
+    exact = np.tile([0.0, 0.0, 9.81], (len(stamp_s), 1))
+    rate = np.where(stamp_s[:, None] < 2.0, 0.1, 0.0) * np.ones(3)  # another bias, before the last half minute
+    imu = measured_imu(Imu(stamp_s, exact, rate), SHEET, 4)
+    assert find_rest(imu, SHEET, 0.0, 10.0) is None
+    rest = find_rest(imu, SHEET, 0.0, 39.0)
+    assert rest.seconds == REST_MAX_S
+    assert np.abs(rest.rate).max() < 0.05
 
 
 def test_calm_air_at_constant_speed_is_no_rest_since_the_prior_moves():

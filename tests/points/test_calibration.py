@@ -11,9 +11,9 @@ from steelnb.core.errors import InputError
 from steelnb.core.range_scans import RangeScans
 from steelnb.core.types import Flight, Scan, Trajectory
 from steelnb.fusion.adjustment.uncertainty import with_range_sigmas
-from steelnb.points.calibration import calibrated
+from steelnb.points.calibration import calibrated, fitted_calibration
 from steelnb.settings import ExperimentSettings, TofSettings
-from steelnb.simulation.calibration import DISTANCES_M, fitted_calibration, measure_calibration
+from steelnb.simulation.calibration import DISTANCES_M, measure_calibration
 from steelnb.simulation.tof_faults import draw_faults
 
 SCALE, OFFSET_M = 1.004, -0.006
@@ -77,6 +77,22 @@ def test_a_wall_tells_scale_and_offset_to_their_standard_deviations():
     exact = fitted_calibration(DISTANCES_M, SCALE * DISTANCES_M + OFFSET_M)
     assert exact["tof.range_scale"] == pytest.approx(SCALE)
     assert exact["tof.range_offset_m"] == pytest.approx(OFFSET_M)
+
+
+@pytest.mark.parametrize(
+    ("distance_m", "range_m"),
+    [
+        ([1, 2], [1, 2]),
+        ([1, 1, 1], [1, 1, 1.1]),
+        ([1, 2, 3], [1, 2]),
+        ([1, 2, np.nan], [1, 2, 3]),
+        ([0, 1, 2], [0, 1, 2]),
+    ],
+)
+def test_a_calibration_needs_three_distances(distance_m, range_m):
+    with pytest.raises(InputError) as caught:
+        fitted_calibration(distance_m, range_m)
+    assert "\n" not in str(caught.value)
 
 
 def test_sigmas_of_a_calibration_stretch_the_path_from_its_first_pose():
