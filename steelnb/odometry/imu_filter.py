@@ -6,8 +6,9 @@ registration with its covariance, and the registered pose corrects velocity and 
 from gravity over the whole flight, not from the prior. A scan with little information follows the readings.
 
 Registrations to one map share errors: those of the map, and those that depend on the view. If each counted as a
-measurement of its own, the filter would claim 2 mm where it is off by 40. So a registered pose is the true one moved by
-a `LastingError`, a first-order Gauss-Markov process, which is a state, too.
+measurement of its own, the filter would claim 2 mm where it is off by 40. So a registered pose is the true one moved
+by a `LastingError`, which is a state, too. A map never tells its own lean and heading, so this part of the error stays
+from map to map: if it faded, each map would count as a new measurement of the vertical.
 
 Sources: Solà, "Quaternion kinematics for the error-state Kalman filter" (arXiv 1711.02508, 2017), with errors in the
 world frame; Roumeliotis and Burdick, "Stochastic cloning" (ICRA 2002), for increments, which depend on two poses.
@@ -16,7 +17,6 @@ world frame; Roumeliotis and Burdick, "Stochastic cloning" (ICRA 2002), for incr
 import numpy as np
 
 from steelnb.core.geometry import (
-    POSE_DOF,
     cross_matrix,
     information_at,
     moved_poses,
@@ -40,7 +40,7 @@ from steelnb.fusion.adjustment.imu_factors import (
     integrated,
     integration_covariances,
 )
-from steelnb.odometry.inertial_state import ERROR, FILTER_DOF, State, moved_error, seen, state_size
+from steelnb.odometry.inertial_state import ERROR, FILTER_DOF, State, seen
 from steelnb.odometry.prediction import NO_ERROR, LastingError, RegisteredPose
 from steelnb.odometry.rest import REST_MIN_S, after_rest, find_rest, prior_rests
 from steelnb.registration import Term
@@ -73,7 +73,7 @@ class InertialPrediction:
             return self.predicted.T_registered
         self.predicted = self._rested(prior, stamp_s, lasting)
         if self.predicted is None:
-            old = self.state if self.state.lasting == lasting else self.state.with_new_error(lasting)
+            old = self.state if self.state.lasting == lasting else self.state.on_another_map(lasting)
             self.predicted = self._propagated(old, prior, stamp_s)
         return self.predicted.T_registered
 
@@ -106,7 +106,7 @@ class InertialPrediction:
         gain = np.linalg.solve(before, seen(P)).T  # of all errors, from those of the registered pose
         step = gain @ pose_difference(self.state.T_registered, T_world_drone)
         P = P + gain @ (np.linalg.inv(predicted + added) - before) @ gain.T
-        error = moved_error(self.state.error, step)
+        error = self.state.error + step[ERROR]
         self.state = self.state._replace(
             T_world_drone=moved_poses(T_world_drone[None], -error[None])[0],
             velocity=self.state.velocity + step[VELOCITY], bias=self.state.bias + step[BIAS], error=error,
@@ -124,20 +124,13 @@ class InertialPrediction:
         self.state = self.predicted
 
     def adjust(self, T_correction: Array, variance: Array) -> None:
-        """Move the registered pose by ``T_correction (4, 4)``, world frame, and add a ``variance (6,)`` of rotation and
-        position of the drone. An adjusted map has a lasting error of its own."""
+        """Move map and registered pose by ``T_correction (4, 4)``, world frame, whose errors have a ``variance (6,)``
+        of rotation and position."""
         assert self.state is not None
-        state = self.state.with_new_error(NO_ERROR)
-        P = state.covariance
-        P[range(6), range(6)] += variance
-        self.state = state._replace(
-            T_world_drone=T_correction @ self.state.T_registered,
-            velocity=T_correction[:3, :3] @ self.state.velocity,
-            covariance=P,
-        )
+        self.state = self.state.on_a_moved_map(T_correction, variance)
 
     def _started(self, prior: Array, stamp_s: float, lasting: LastingError) -> State:
-        variance = np.zeros(state_size(lasting))
+        variance = np.zeros(FILTER_DOF)
         variance[POSE] = [TILT_SIGMA_RAD**2] * 2 + [1 / FIXED] * 4
         variance[VELOCITY] = VELOCITY_SIGMA_M_S**2
         variance[GYRO] = max(self.noise.gyro_bias, SIGMA_MIN) ** 2
@@ -161,9 +154,8 @@ class InertialPrediction:
             return None
         step, P = after_rest(rest, self.noise, first.T_world_drone[:3, :3], first.covariance)
         T_world_drone = moved_poses(first.T_world_drone[None], step[None, POSE])[0]
-        error = moved_error(np.zeros(POSE_DOF), step)
-        state = State(stamp_s, prior, T_world_drone, np.zeros(3), step[BIAS], error, P, first.lasting)
-        return state if lasting == first.lasting else state.with_new_error(lasting)
+        state = State(stamp_s, prior, T_world_drone, np.zeros(3), step[BIAS], step[ERROR], P, first.lasting)
+        return state if lasting == first.lasting else state.on_another_map(lasting)
 
     def _propagated(self, old: State, prior: Array, stamp_s: float) -> State:
         passed_s = stamp_s - old.stamp_s
@@ -176,27 +168,27 @@ class InertialPrediction:
             self._integrated(old, stamp_s) if has_readings else self._followed(old, prior, expected, passed_s)
         )
         decay = np.exp(-passed_s / old.lasting.time_s)
-        size = len(old.covariance)
-        if size == FILTER_DOF:
-            F[ERROR, ERROR] = decay * np.eye(POSE_DOF)
-            Q[ERROR, ERROR] = (1.0 - decay**2) * np.diag(old.lasting.variance)
+        kept = np.array([1.0, 1.0, 1.0, decay, decay, decay])
+        F[ERROR, ERROR] = np.diag(kept)
+        Q[ERROR, ERROR] = (1.0 - decay**2) * np.diag(old.lasting.variance)
         cross = F @ old.covariance
         joint = np.block([[old.covariance, cross.T], [cross, cross @ F.T + Q]])  # of the earlier and the later state
         error = np.append(
             yaw_of(T[:3, :3] @ (turned @ prior[:3, :3]).T), T[:3, 3] - old.T_world_drone[:3, 3] - expected
         )
-        H_old, H_new = np.zeros((2, 4, size))
+        H_old, H_new = np.zeros((2, 4, FILTER_DOF))
         H_new[0, 2], H_old[0, 2] = 1.0, -1.0
         H_new[1:, POSITION], H_old[1:, POSITION] = np.eye(3), -np.eye(3)
         H_old[1:3, 2] = expected[1], -expected[0]
         H = np.hstack([H_old, H_new])
         drift = np.diag(drift_variance(passed_s))
         gain = np.linalg.solve(H @ joint @ H.T + drift, H @ joint).T
-        step, P = -(gain @ error)[size:], (joint - gain @ H @ joint)[size:, size:]
+        step = -(gain @ error)[FILTER_DOF:]
+        P = (joint - gain @ H @ joint)[FILTER_DOF:, FILTER_DOF:]
         T_world_drone = moved_poses(T[None], step[None, POSE])[0]
         return State(
             stamp_s, prior, T_world_drone, velocity + step[VELOCITY], old.bias + step[BIAS],
-            moved_error(decay * old.error, step), 0.5 * (P + P.T), old.lasting,
+            kept * old.error + step[ERROR], 0.5 * (P + P.T), old.lasting,
         )  # fmt: skip
 
     def _integrated(self, old: State, stamp_s: float) -> tuple[Array, Array, Array, Array]:

@@ -4,19 +4,21 @@ from typing import NamedTuple
 
 import numpy as np
 
-from steelnb.core.geometry import POSE_DOF, moved_poses
+from steelnb.core.geometry import POSE_DOF, moved_poses, pose_difference
 from steelnb.core.types import Array
-from steelnb.fusion.adjustment.imu_factors import POSE, STATE_DOF
-from steelnb.odometry.prediction import NO_ERROR, LastingError
+from steelnb.fusion.adjustment.imu_factors import POSE, POSITION, STATE_DOF
+from steelnb.odometry.prediction import LastingError
 
 FILTER_DOF = STATE_DOF + POSE_DOF
 ERROR = slice(STATE_DOF, FILTER_DOF)
 """The order of errors here: those of `imu_factors`, then the lasting error of registrations, rotation and position."""
+TURN, SHIFT = slice(STATE_DOF, STATE_DOF + 3), slice(STATE_DOF + 3, FILTER_DOF)
+"""The two parts of the lasting error."""
 
 
 class State(NamedTuple):
     """Pose ``T_world_drone (4, 4)``, ``velocity (3,)`` in the world frame, ``bias (6,)`` of gyroscope and accelerometer
-    and the lasting ``error (6,)`` of registrations, with the ``covariance (N, N)`` of their errors, at ``stamp_s``;
+    and the lasting ``error (6,)`` of registrations, with the ``covariance (21, 21)`` of their errors, at ``stamp_s``;
     ``prior (4, 4)``: the drifting pose then; ``lasting``: the process that ``error`` follows."""
 
     stamp_s: float
@@ -38,26 +40,33 @@ class State(NamedTuple):
         """Covariance ``(6, 6)`` of that pose."""
         return seen(seen(self.covariance).T)
 
-    def with_new_error(self, lasting: LastingError) -> "State":
-        """Before the first registration with another ``lasting`` error, of which nothing is known yet."""
-        size = state_size(lasting)
-        P = np.zeros((size, size))
-        P[:STATE_DOF, :STATE_DOF] = self.covariance[:STATE_DOF, :STATE_DOF]
-        if size == FILTER_DOF:
-            P[ERROR, ERROR] = np.diag(lasting.variance)
-        return self._replace(error=np.zeros(POSE_DOF), covariance=P, lasting=lasting)
+    def on_another_map(self, lasting: LastingError) -> "State":
+        """Before the first registration to another map, of whose shift nothing is known yet. It is turned as the map
+        before was, from which it was made."""
+        return self._with_new_shift(lasting, lasting.variance[3:])
+
+    def on_a_moved_map(self, T_correction: Array, variance: Array) -> "State":
+        """After the map and the registered pose have moved by ``T_correction (4, 4)``, world frame, whose errors have a
+        ``variance (6,)`` of rotation and position.
+
+        The new position is taken over. The new rotation is that of the map alone: it comes from the same readings as
+        the rotation here, and would count twice.
+        """
+        state = self._with_new_shift(self.lasting, np.zeros(3))
+        registered = T_correction @ self.T_registered
+        error = pose_difference(self.T_world_drone, registered) * [1.0, 1.0, 1.0, 0.0, 0.0, 0.0]
+        P = state.covariance
+        P[TURN, TURN] += np.diag(variance[:3])
+        P[POSITION, POSITION] += np.diag(variance[3:])
+        return state._replace(T_world_drone=moved_poses(registered[None], -error[None])[0], error=error)
+
+    def _with_new_shift(self, lasting: LastingError, variance: Array) -> "State":
+        P = self.covariance.copy()
+        P[SHIFT, :] = P[:, SHIFT] = 0.0
+        P[SHIFT, SHIFT] = np.diag(variance)
+        return self._replace(error=self.error * [1.0, 1.0, 1.0, 0.0, 0.0, 0.0], covariance=P, lasting=lasting)
 
 
 def seen(rows: Array) -> Array:
-    """Rows ``(6, M)`` of the registered pose from the rows ``(N, M)`` of a state."""
-    return np.asarray(rows[POSE] + rows[ERROR]) if len(rows) == FILTER_DOF else rows[POSE]
-
-
-def moved_error(error: Array, step: Array) -> Array:
-    """The lasting ``error (6,)`` of registrations after the step ``(N,)`` of a state."""
-    return error + step[ERROR] if len(step) == FILTER_DOF else error
-
-
-def state_size(lasting: LastingError) -> int:
-    """The degrees of freedom N of a state: 21, or 15 if registrations have no lasting error."""
-    return STATE_DOF if lasting == NO_ERROR else FILTER_DOF
+    """Rows ``(6, M)`` of the registered pose from the rows ``(21, M)`` of a state."""
+    return np.asarray(rows[POSE] + rows[ERROR])

@@ -26,8 +26,12 @@ class RegisteredPose(NamedTuple):
 
 
 class LastingError(NamedTuple):
-    """An error that the registrations to one map share: a first-order Gauss-Markov process with the standard deviations
-    ``sigma_rad`` of rotation and ``sigma_m`` of position about each axis, and the correlation time ``time_s``."""
+    """An error that the registrations to one map share.
+
+    The shift of the map is a first-order Gauss-Markov process with the standard deviation ``sigma_m`` along each axis
+    and the correlation time ``time_s``. Its rotation is a random walk, which begins like such a process with
+    ``sigma_rad`` about each axis.
+    """
 
     sigma_rad: float
     sigma_m: float
@@ -35,7 +39,7 @@ class LastingError(NamedTuple):
 
     @property
     def variance(self) -> Array:
-        """Variances ``(6,)`` of rotation and position."""
+        """Variances ``(6,)`` of rotation and shift."""
         return np.repeat([self.sigma_rad**2, self.sigma_m**2], 3)
 
 
@@ -70,5 +74,5 @@ class Prediction(Protocol):
         """Update with a scan that was not registered."""
 
     def adjust(self, T_correction: Array, variance: Array) -> None:
-        """Move the pose of the last scan by ``T_correction (4, 4)``, world frame, whose errors have a ``variance
-        (6,)`` of rotation and position."""
+        """Move the map and the registered pose of the last scan by ``T_correction (4, 4)``, world frame, whose errors
+        have a ``variance (6,)`` of rotation and position."""

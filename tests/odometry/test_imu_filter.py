@@ -14,7 +14,7 @@ from steelnb.metrics import score_trajectory
 from steelnb.odometry import make_odometry, run
 from steelnb.odometry.faces import odometry as faces
 from steelnb.odometry.imu_filter import InertialPrediction
-from steelnb.odometry.inertial_state import ERROR
+from steelnb.odometry.inertial_state import SHIFT, TURN
 from steelnb.odometry.prediction import NO_ERROR, LastingError, RegisteredPose
 from steelnb.points import VoxelMap
 from steelnb.settings import ImuSettings, OdometrySettings
@@ -206,11 +206,12 @@ def test_an_imu_without_errors_is_no_division_by_zero():
     assert np.abs(apart(prediction.state.T_world_drone, true[-1])[3:]).max() < 0.05
 
 
-def gauss_markov(lasting, stamp_s, rng):
-    """Errors (K, 6) of registrations, zero at the first scan."""
+def lasting_errors(lasting, stamp_s, rng):
+    """Errors (K, 6) of registrations, zero at the first scan; rotations walk."""
     error, decay = np.zeros((len(stamp_s), 6)), np.exp(-np.diff(stamp_s) / lasting.time_s)
     for k, each in enumerate(decay):
-        error[k + 1] = each * error[k] + np.sqrt((1 - each**2) * lasting.variance) * rng.normal(size=6)
+        kept = np.repeat([1.0, each], 3)
+        error[k + 1] = kept * error[k] + np.sqrt((1 - each**2) * lasting.variance) * rng.normal(size=6)
     return error
 
 
@@ -224,7 +225,7 @@ def squares_of(model, lasting):
     for seed in range(12):
         rng = np.random.default_rng(seed)
         prediction = InertialPrediction(measured_imu(imu, SHEET, seed), SHEET)
-        prior, lost = drifted(true, rng), gauss_markov(lasting, stamp_s, rng)
+        prior, lost = drifted(true, rng), lasting_errors(lasting, stamp_s, rng)
         for k, T in enumerate(true):
             T_init = prediction.pose(prior[k], stamp_s[k], model)
             noise = rng.normal(size=6) * np.sqrt(np.diag(np.linalg.inv(TOLD)))
@@ -264,13 +265,28 @@ def test_another_map_has_an_error_of_its_own():
                 H=prediction.information + 100 * TOLD,
             )
         )
-    assert prediction.state.error[3] > 0.005
+    before = prediction.state
+    assert before.error[3] > 0.005
     prediction.pose(true[8], stamp_s[8], other)
-    assert np.abs(prediction.predicted.error).max() == 0.0
-    np.testing.assert_allclose(np.diag(prediction.predicted.covariance)[ERROR], other.variance, rtol=1e-6)
-    before = prediction.state.T_registered
-    prediction.adjust(np.eye(4), np.full(6, 1e-6))  # adjusted bars go with the registered pose
-    np.testing.assert_allclose(prediction.state.T_world_drone, before, atol=1e-12)
+    assert np.abs(prediction.predicted.error[3:]).max() == 0.0
+    np.testing.assert_allclose(np.diag(prediction.predicted.covariance)[SHIFT], other.variance[3:], rtol=1e-6)
+    np.testing.assert_allclose(prediction.predicted.covariance[TURN, TURN], before.covariance[TURN, TURN], atol=1e-5)
+
+
+def test_a_moved_map_takes_the_position_along_but_tells_no_vertical():
+    true, stamp_s, imu = at_scans(12)
+    prediction = InertialPrediction(imu, SHEET)
+    for k in range(8):
+        prediction.pose(true[k], stamp_s[k], LastingError(0.003, 0.03, 10.0))
+        prediction.correct(RegisteredPose(true[k], H=prediction.information + 100 * TOLD))
+    before, leant = prediction.state, exp_about(true[7, :3, 3], np.array([0.004, -0.002, 0.003, 0.02, 0.01, -0.01]))
+    prediction.adjust(leant, np.full(6, 1e-6))
+    after = prediction.state
+    np.testing.assert_allclose(after.T_registered, leant @ before.T_registered, atol=1e-12)
+    np.testing.assert_allclose(after.T_world_drone[:3, 3], after.T_registered[:3, 3], atol=1e-12)
+    np.testing.assert_allclose(after.T_world_drone[:3, :3], before.T_world_drone[:3, :3], atol=2e-5)
+    np.testing.assert_allclose(after.covariance[:3, :3], before.covariance[:3, :3], atol=1e-12)
+    np.testing.assert_array_equal(after.bias, before.bias)
 
 
 def test_roll_and_pitch_that_are_put_out_are_those_of_gravity():

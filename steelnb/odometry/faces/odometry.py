@@ -40,7 +40,7 @@ ADOPT_S = 2.0
 on the machine's speed; an adjustment takes up to 2 s on one core of a laptop."""
 SCAN_POINTS, KEYFRAME_POINTS = 2000, 4000
 """Number of points registered from a scan, and kept of a keyframe to fit bars to."""
-FACE_ERROR = LastingError(sigma_rad=0.002, sigma_m=0.02, time_s=20.0)
+FACE_ERROR = LastingError(sigma_rad=0.003, sigma_m=0.03, time_s=20.0)
 """Lasting error of registrations to bars, which are adjusted together with the poses that observed them. Chosen like
 `clouds.CLOUD_ERROR`."""
 REFITTED_SIGMA = np.array([0.001, 0.001, 0.001, 0.003, 0.003, 0.003])
