@@ -92,12 +92,13 @@ def digests(
     """Name and digest of everything computed from one flight, in the order in which it is computed. A structure follows
     if ``smoothed`` is among the methods."""
     start_s = settings["start_s"].get(trajectory, 0.0)
+    in_the_air = {} if start_s else {"flight.still_s": 0.0}
 
     def configured(method: str) -> ExperimentSettings:
         return ExperimentSettings.preset(
             trajectory,  # type: ignore[arg-type]
             settings["noise"], method, sensor, settings["seed"], start_s + 15.0,
-            settings["overrides"] | {"tof.start_s": start_s},
+            settings["overrides"] | {"tof.start_s": start_s, **in_the_air},
         )  # fmt: skip
 
     whole, truth = experiment.simulate(configured("orb"))

@@ -7,7 +7,7 @@ from pydantic import model_validator
 from steelnb.core import rng
 from steelnb.core.checks import checked_kind
 from steelnb.settings.base import OrNone, SeedOrReport, Settings
-from steelnb.settings.flight import FlightSettings, TrajectoryName
+from steelnb.settings.flight import REST_S, FlightSettings, TrajectoryName
 from steelnb.settings.noise import Noise
 from steelnb.settings.odometry import Family, OdometrySettings, OrbSettings, ReportCloudSettings
 from steelnb.settings.report_plots import STEP_S, ReportPlot
@@ -91,7 +91,8 @@ class ExperimentSettings(Settings):
     ) -> "ExperimentSettings":
         """The settings of a flight, noise, method, sensor and tower, named as in the notebooks.
 
-        By default, the flight's preset determines the tower and the duration. ``overrides`` changes single settings,
+        By default, the flight's preset determines the tower and the duration, and a drone with an IMU rests for
+        `REST_S` first. ``overrides`` changes single settings,
         such as ``{"tof.rate_hz": 10.0, "hough.dx_m": 0.05}``. Raises `InputError`.
 
         >>> settings = ExperimentSettings.preset("loops", method="best", overrides={"tof.rate_hz": 10.0})
@@ -99,14 +100,17 @@ class ExperimentSettings(Settings):
         (10.0, 'xyz_yaw')
         """
         odometry = OdometrySettings.preset(method, sensor)
+        flight, imu = FlightSettings.preset(trajectory, duration_s), ImuSettings.preset(sensor)
+        if imu and trajectory in ("zigzag", "loops"):
+            flight = flight.replace(still_s=REST_S)
         settings = cls(
             sensor=sensor,
             noise_name=noise,
             seed=seed,
             tower=TowerSettings.of_flight(trajectory) if tower is None else TowerSettings.preset(tower),
-            flight=FlightSettings.preset(trajectory, duration_s),
+            flight=flight,
             tof=TofSettings.preset(sensor),
-            imu=ImuSettings.preset(sensor),
+            imu=imu,
             odometry=odometry,
         )
         return settings.override({} if overrides is None else overrides)

@@ -10,6 +10,8 @@ from steelnb.settings.presets import preset_table
 
 TrajectoryName = Literal["vertical", "orbit", "orbit-3.3", "zigzag", "loops", "planned"]
 BY_WAYPOINTS: tuple[TrajectoryName, ...] = ("vertical", "orbit", "orbit-3.3")
+REST_S = 3.0
+"""Seconds at rest before take-off of a drone with an IMU."""
 Waypoint = tuple[Finite, Finite, Positive, Finite, NotNegative]
 """x, y, z in metres, heading in degrees (0 along x, anticlockwise), and seconds from the previous waypoint."""
 
@@ -24,7 +26,9 @@ class FlightSettings(Settings):
     level by level, or to fly a helix ``around`` the structure.
 
     ``still_s``: seconds at rest at the first point, without wind, before the flight; they count towards ``duration_s``,
-    and a shorter flight only stands. ``gust_sigma_m_s``: standard deviation of the gusts along each axis."""
+    and a shorter flight only stands. With an IMU, whose readings then tell the bias of the gyroscope,
+    `ExperimentSettings.preset` lets ``zigzag`` and ``loops`` begin with `REST_S`. ``gust_sigma_m_s``: standard
+    deviation of the gusts along each axis."""
 
     trajectory: TrajectoryName = "zigzag"
     duration_s: Duration = 200.0
