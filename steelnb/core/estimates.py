@@ -15,6 +15,7 @@ from steelnb.core.checks import (
     checked_pose,
     set_checked,
 )
+from steelnb.core.geometry import translated
 from steelnb.core.types import Array, IntArray, Segments, Trajectory
 
 
@@ -47,7 +48,7 @@ class OdometryStep:
     def moved(self, by: Array) -> "OdometryStep":
         """The step with its pose translated by ``by (3,)``, metres."""
         T_world_drone = self.T_world_drone.copy()
-        T_world_drone[:3, 3] = np.round(T_world_drone[:3, 3] + by, 7)
+        T_world_drone[:3, 3] = translated(T_world_drone[:3, 3], by)
         return replace(self, T_world_drone=T_world_drone)
 
     def __repr__(self) -> str:

@@ -20,6 +20,12 @@ SHIFT_FROM_M, SHIFT_STEP_M = 1e4, 100.0
 large, coordinates of a site are not."""
 
 
+def translated(position: Array, by: Array) -> Array:
+    """Positions ``(..., 3)`` moved by ``by (3,)``, metres, and rounded to 0.1 µm: a cloud that is moved from large map
+    coordinates to the origin equals the same cloud there."""
+    return np.round(position + by, 7)
+
+
 def shift_of(position: Array) -> Array:
     """Origin ``(3,)`` for coordinates around a ``position (3,)``, metres: zero unless they are large.
 

@@ -48,14 +48,13 @@ class Trajectory:
         return self.T_world_drone[:, :3, 3]
 
     def moved(self, by: Array) -> "Trajectory":
-        """The poses translated by ``by (3,)``, metres; the same object if that is zero.
+        """The poses translated by ``by (3,)``, metres; the same object if that is zero."""
+        from steelnb.core.geometry import translated  # imports this module
 
-        Positions are rounded to 0.1 µm, which removes the rounding errors of large map coordinates moved to the origin.
-        """
         if not checks.checked_array(by, "by", (3,)).any():
             return self
         T_world_drone = self.T_world_drone.copy()
-        T_world_drone[:, :3, 3] = np.round(T_world_drone[:, :3, 3] + by, 7)
+        T_world_drone[:, :3, 3] = translated(T_world_drone[:, :3, 3], by)
         return Trajectory(self.stamp_s, T_world_drone)
 
     def at(self, stamp_s: Array) -> "Trajectory":

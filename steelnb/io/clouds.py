@@ -13,7 +13,7 @@ import pandas as pd
 from steelnb.core.arguments import checks_arguments
 from steelnb.core.errors import InputError
 from steelnb.core.files import reading
-from steelnb.core.geometry import shift_of
+from steelnb.core.geometry import shift_of, translated
 from steelnb.core.types import Array, IntArray
 from steelnb.hough.lines import spacing
 from steelnb.io.las import read_las
@@ -75,8 +75,7 @@ def read_cloud(path: Path | str) -> Cloud:
                 f"{path}: a spacing of {spacing_m:.3g} over {extent_m:.4g} looks like millimetres; expected metres"
             )
     origin = shift_of(distinct.mean(axis=0))
-    # Rounded to 0.1 µm, so that a shifted cloud equals the same cloud at the origin.
-    shifted = np.round(distinct - origin, 7) if origin.any() else distinct
+    shifted = translated(distinct, -origin) if origin.any() else distinct
     return Cloud(shifted, origin, len(points) - len(finite), len(finite) - len(distinct))
 
 
