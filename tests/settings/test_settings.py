@@ -17,6 +17,7 @@ from steelnb.settings import (
     TowerSettings,
     read_report_plots,
 )
+from steelnb.settings.flight import REST_S
 from steelnb.settings.odometry import FAMILIES
 from steelnb.settings.presets import PRESETS
 from steelnb.simulation.noise import drift_errors
@@ -240,6 +241,8 @@ def test_an_honest_sensor_is_the_ideal_one_with_faults_and_an_imu():
     assert ideal.tof.faults == ()
     assert ideal.imu is None
     told = {"sigma_filter_px": 0}  # all that an estimator is told: no fault
+    assert (honest.flight.still_s, ideal.flight.still_s) == (REST_S, 0.0)
+    honest = honest.override({"flight.still_s": 0.0})
     assert honest.override({"tof.faults": [], "imu": None, **told}).replace(sensor="starling2") == ideal
     assert set(honest.tof.faults) == set(get_args(TofFault))
     assert all(value > 0 for value in vars(honest.imu).values())
