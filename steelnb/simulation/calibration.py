@@ -3,8 +3,8 @@
 import numpy as np
 
 from steelnb.core import rng
-from steelnb.points.calibration import fitted_calibration
 from steelnb.settings import TofSettings
+from steelnb.settings.calibration import fitted_calibration
 from steelnb.simulation.tof_faults import draw_faults, reported_range
 
 DISTANCES_M = np.arange(0.5, 4.01, 0.25)

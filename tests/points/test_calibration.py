@@ -11,8 +11,9 @@ from steelnb.core.errors import InputError
 from steelnb.core.range_scans import RangeScans
 from steelnb.core.types import Flight, Scan, Trajectory
 from steelnb.fusion.adjustment.uncertainty import with_range_sigmas
-from steelnb.points.calibration import calibrated, fitted_calibration
+from steelnb.points.calibration import calibrated
 from steelnb.settings import ExperimentSettings, TofSettings
+from steelnb.settings.calibration import fitted_calibration
 from steelnb.simulation.calibration import DISTANCES_M, measure_calibration
 from steelnb.simulation.tof_faults import draw_faults
 
