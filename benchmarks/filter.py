@@ -1,0 +1,86 @@
+"""How far off the filter of `faces` is, in units of what it claims, with the faults of a real sensor and IMU.
+
+    .venv/bin/python benchmarks/filter.py 21 22 23 24 25 > benchmarks/filter.txt
+
+Prints normalised squared errors (Bar-Shalom, Li, Kirubarajan, "Estimation with Applications to Tracking and
+Navigation", 2001, section 5.4), 1 if a filter is as uncertain as it says, of each seed and their mean. A flight takes
+about five minutes.
+"""
+
+import sys
+
+import numpy as np
+import pandas as pd
+
+from steelnb import experiment
+from steelnb.core.geometry import pose_difference
+from steelnb.core.types import Array, Flight, Imu
+from steelnb.fusion.adjustment.imu_factors import FORCE, GYRO, POSITION, ROTATION, VELOCITY
+from steelnb.odometry import make_odometry, run
+from steelnb.odometry.faces.odometry import FaceOdometry
+from steelnb.odometry.imu_filter import InertialPrediction
+from steelnb.odometry.inertial_state import State
+from steelnb.settings import ExperimentSettings, TrajectoryName
+from steelnb.simulation import Truth, fly, measured_imu
+
+FLIGHTS: tuple[TrajectoryName, ...] = ("zigzag", "loops")
+DURATION_S, FIRST_S, HALF_S = 200.0, 30.0, 0.01
+PARTS = {
+    "position": POSITION, "velocity": VELOCITY, "roll, pitch": slice(ROTATION.start, ROTATION.start + 2),
+    "heading": slice(ROTATION.start + 2, ROTATION.stop), "gyroscope": GYRO, "accelerometer": FORCE,
+}  # fmt: skip
+
+
+def states_of(settings: ExperimentSettings, flight: Flight) -> list[State]:
+    """The state of the filter after each scan."""
+    odometry = make_odometry(settings.odometry, flight.T_drone_sensor, flight.imu)
+    assert isinstance(odometry, FaceOdometry)
+    prediction, states = odometry.prediction, list[State | None]()
+    assert isinstance(prediction, InertialPrediction)
+    run(flight, odometry, lambda *_: states.append(prediction.state))
+    return [state for state in states if state]
+
+
+def biases(settings: ExperimentSettings, exact: Imu, stamp_s: Array) -> Array:
+    """True biases ``(K, 6)`` of gyroscope and accelerometer at the stamps."""
+    assert settings.imu is not None
+    read = measured_imu(exact, settings.imu.replace(gyro_noise=0.0, accelerometer_noise=0.0), settings.seed)
+    nearest = np.searchsorted(exact.stamp_s, stamp_s).clip(max=len(exact.stamp_s) - 1)
+    apart = np.hstack([read.angular_rate - exact.angular_rate, read.specific_force - exact.specific_force])
+    return np.asarray(apart[nearest])
+
+
+def squares(settings: ExperimentSettings, states: list[State], truth: Truth) -> pd.DataFrame:
+    """Normalised squared errors, a row per scan."""
+    stamp_s = np.array([state.stamp_s for state in states])
+    _, exact = fly(truth.tower, settings.flight, settings.seed)
+    path, bias = truth.trajectory, biases(settings, exact, stamp_s)
+    true, ahead, behind = (path.between(stamp_s + by) for by in (0.0, HALF_S, -HALF_S))
+    passed_s = np.clip(stamp_s + HALF_S, None, path.stamp_s[-1]) - np.clip(stamp_s - HALF_S, path.stamp_s[0], None)
+    velocity = (ahead - behind)[:, :3, 3] / passed_s[:, None]
+    rows = []
+    for k, state in enumerate(states):
+        pose = pose_difference(state.T_world_drone, true[k])
+        error = np.concatenate([pose, velocity[k] - state.velocity, bias[k] - state.bias])
+        row = {}
+        for name, part in PARTS.items():
+            e, P = error[part], state.covariance[part, part] + 1e-18 * np.eye(len(error[part]))  # the first scan's is 0
+            row[name] = float(e @ np.linalg.solve(P, e)) / len(e)
+        rows.append(row)
+    return pd.DataFrame(rows, index=pd.Index(stamp_s, name="time_s"))
+
+
+def flown(trajectory: TrajectoryName, seed: int) -> pd.DataFrame:
+    """Mean squares of one flight, in its first half minute and after."""
+    settings = ExperimentSettings.preset(trajectory, "random-walk", "faces", "starling2-honest", seed, DURATION_S)
+    flight, truth = experiment.simulate(settings)
+    found = squares(settings, states_of(settings, flight), truth)
+    part = pd.Index(np.where(found.index <= FIRST_S, "first 30 s", "after"), name="part")
+    means = found.groupby(part, sort=False).mean()
+    return means.assign(flight=trajectory, seed=seed).set_index(["flight", "seed"], append=True)
+
+
+if __name__ == "__main__":
+    table = pd.concat([flown(way, int(seed)) for seed in sys.argv[1:] for way in FLIGHTS])
+    print(table.round(1).to_string(), end="\n\n")
+    print(table.groupby("part", sort=False).mean().round(2).to_string())
