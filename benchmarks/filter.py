@@ -1,10 +1,10 @@
 """How far off the filter of `faces` is, in units of what it claims, with the faults of a real sensor and IMU.
 
-    .venv/bin/python benchmarks/filter.py 21 22 23 24 25 > benchmarks/filter.txt
+    .venv/bin/python benchmarks/filter.py 21 22 23 24 25
 
-Prints normalised squared errors (Bar-Shalom, Li, Kirubarajan, "Estimation with Applications to Tracking and
-Navigation", 2001, section 5.4), 1 if a filter is as uncertain as it says, of each seed and their mean. A flight takes
-about five minutes.
+Normalised squared errors (Bar-Shalom, Li, Kirubarajan, "Estimation with Applications to Tracking and Navigation", 2001,
+section 5.4) are 1 if a filter is as uncertain as it says. Prints the tables of filter.md, for the seeds that are given.
+A flight takes about five minutes.
 """
 
 import sys
@@ -13,6 +13,7 @@ import numpy as np
 import pandas as pd
 
 from steelnb import experiment
+from steelnb.core.determinism import machine
 from steelnb.core.geometry import pose_difference
 from steelnb.core.types import Array, Flight, Imu
 from steelnb.fusion.adjustment.imu_factors import FORCE, GYRO, POSITION, ROTATION, VELOCITY
@@ -24,7 +25,9 @@ from steelnb.settings import ExperimentSettings, TrajectoryName
 from steelnb.simulation import Truth, fly, measured_imu
 
 FLIGHTS: tuple[TrajectoryName, ...] = ("zigzag", "loops")
-DURATION_S, FIRST_S, HALF_S = 200.0, 30.0, 0.01
+DURATION_S, FIRST_S = 200.0, 30.0
+DIFFERENCE_S = 0.01
+"""Half of the interval over which true positions are differentiated."""
 PARTS = {
     "position": POSITION, "velocity": VELOCITY, "roll, pitch": slice(ROTATION.start, ROTATION.start + 2),
     "heading": slice(ROTATION.start + 2, ROTATION.stop), "gyroscope": GYRO, "accelerometer": FORCE,
@@ -55,9 +58,9 @@ def squares(settings: ExperimentSettings, states: list[State], truth: Truth) -> 
     stamp_s = np.array([state.stamp_s for state in states])
     _, exact = fly(truth.tower, settings.flight, settings.seed)
     path, bias = truth.trajectory, biases(settings, exact, stamp_s)
-    true, ahead, behind = (path.between(stamp_s + by) for by in (0.0, HALF_S, -HALF_S))
-    passed_s = np.clip(stamp_s + HALF_S, None, path.stamp_s[-1]) - np.clip(stamp_s - HALF_S, path.stamp_s[0], None)
-    velocity = (ahead - behind)[:, :3, 3] / passed_s[:, None]
+    true = path.between(stamp_s)
+    before_s, after_s = (np.clip(stamp_s + by, *path.stamp_s[[0, -1]]) for by in (-DIFFERENCE_S, DIFFERENCE_S))
+    velocity = (path.between(after_s) - path.between(before_s))[:, :3, 3] / (after_s - before_s)[:, None]
     rows = []
     for k, state in enumerate(states):
         pose = pose_difference(state.T_world_drone, true[k])
@@ -70,17 +73,23 @@ def squares(settings: ExperimentSettings, states: list[State], truth: Truth) -> 
     return pd.DataFrame(rows, index=pd.Index(stamp_s, name="time_s"))
 
 
-def flown(trajectory: TrajectoryName, seed: int) -> pd.DataFrame:
-    """Mean squares of one flight, in its first half minute and after."""
+def flown(trajectory: TrajectoryName, seed: int) -> tuple[pd.Series, pd.Series]:
+    """Mean squares of one flight, in its first half minute and after it."""
     settings = ExperimentSettings.preset(trajectory, "random-walk", "faces", "starling2-honest", seed, DURATION_S)
     flight, truth = experiment.simulate(settings)
     found = squares(settings, states_of(settings, flight), truth)
-    part = pd.Index(np.where(found.index <= FIRST_S, "first 30 s", "after"), name="part")
-    means = found.groupby(part, sort=False).mean()
-    return means.assign(flight=trajectory, seed=seed).set_index(["flight", "seed"], append=True)
+    return found[found.index <= FIRST_S].mean(), found[found.index > FIRST_S].mean()
+
+
+def main(seeds: list[str]) -> None:
+    print(machine())
+    cases = [(trajectory, seed) for trajectory in FLIGHTS for seed in seeds]
+    means = [flown(trajectory, int(seed)) for trajectory, seed in cases]
+    for title, rows in zip(("first 30 s", "after 30 s"), zip(*means, strict=True), strict=True):
+        print(f"\n| {title} | seed | {' | '.join(PARTS)} |\n|{'---|' * (2 + len(PARTS))}")
+        for case, row in zip([*cases, ("mean", "")], [*rows, pd.concat(rows, axis=1).mean(axis=1)], strict=True):
+            print("| " + " | ".join([*case, *(f"{value:.1f}" for value in row)]) + " |")
 
 
 if __name__ == "__main__":
-    table = pd.concat([flown(way, int(seed)) for seed in sys.argv[1:] for way in FLIGHTS])
-    print(table.round(1).to_string(), end="\n\n")
-    print(table.groupby("part", sort=False).mean().round(2).to_string())
+    main(sys.argv[1:])

@@ -67,8 +67,8 @@ class Grid(Settings):
     """Values to combine; one table of a study's file.
 
     ``seeds``: a list, or a range such as ``"101-130"``, which includes both ends; a list may hold ranges. ``variants``:
-    name of the variant in tables → changed settings. ``calibrated``: the camera of each seed is measured before its
-    flight, and its settings told (`measure_calibration`). Values that are given twice count once.
+    name of the variant in tables → changed settings. ``calibrated``: the scale and offset of each seed's camera are
+    measured before its flight, and its ranges corrected (`measure_calibration`). Repeated values count once.
     """
 
     seeds: Annotated[list[SeedOrReport], Field(min_length=1)]
@@ -96,8 +96,9 @@ class Grid(Settings):
         runs = []
         for sensor, trajectory, seed, noise, (variant, changes), method in itertools.product(*axes):
             settings = ExperimentSettings.preset(trajectory, noise, method, sensor, seed, self.duration_s, changes)
-            told = measure_calibration(settings.tof, seed) if self.calibrated else {}
-            runs.append(Run(settings.override(told), variant))
+            if self.calibrated:
+                settings = settings.override(measure_calibration(settings.tof, seed))
+            runs.append(Run(settings, variant))
         return runs
 
 

@@ -41,8 +41,8 @@ class State(NamedTuple):
         return seen(seen(self.covariance).T)
 
     def on_another_map(self, lasting: LastingError) -> "State":
-        """Before the first registration to another map, of whose shift nothing is known yet. It is turned as the map
-        before was, from which it was made."""
+        """Before the first registration to another map. Its shift is unknown, and its rotation is that of the map that
+        it was made from."""
         return self._with_new_shift(lasting, lasting.variance[3:])
 
     def on_a_moved_map(self, T_correction: Array, variance: Array) -> "State":

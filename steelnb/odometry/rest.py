@@ -19,7 +19,7 @@ from steelnb.settings import ImuSettings
 REST_MIN_S = 1.0
 """A shorter rest is not used: it could be the beginning of a slow motion."""
 REST_MAX_S = 30.0
-"""Of a longer rest, the last readings count: biases walk."""
+"""Only the last readings of a longer rest are used, since biases drift."""
 WINDOW_S = 0.2
 SIGMAS = 5.0
 """Bound on the difference between the mean of a window and that of the first `REST_MIN_S`, and on the prior's motion,
@@ -40,8 +40,8 @@ class Rest(NamedTuple):
 
 
 def find_rest(imu: Imu, noise: ImuSettings, begin_s: float, end_s: float) -> Rest | None:
-    """The rest from ``begin_s`` to ``end_s``, at least `REST_MIN_S`, by its readings, at most the last `REST_MAX_S`;
-    None if any moved."""
+    """The rest from ``begin_s`` to ``end_s``; None if it is shorter than `REST_MIN_S`, or if the readings show a motion
+    in its last `REST_MAX_S`."""
     begin_s = max(begin_s, end_s - REST_MAX_S)
     first, last = np.searchsorted(imu.stamp_s, [begin_s, end_s], side="right")
     count = int(last - first)

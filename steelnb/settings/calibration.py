@@ -2,19 +2,22 @@
 
 import numpy as np
 
-from steelnb.core.checks import checked_array
+from steelnb.core.checks import checked_array, checked_number
 from steelnb.core.errors import InputError
 from steelnb.core.types import Array
 
 
 def fitted_calibration(distance_m: Array, range_m: Array) -> dict[str, float]:
     """Scale and offset of ranges ``(N,)`` at known distances ``(N,)``, metres, by least squares, with their standard
-    deviations, as overrides of the table ``tof``. Raises `InputError` below three different distances."""
+    deviations, as overrides of the table ``tof``. Raises `InputError` for fewer than three different distances, and for
+    values that are not positive."""
     distance_m = checked_array(distance_m, "distance_m", ("N",))
     range_m = checked_array(range_m, "range_m", (len(distance_m),))
     different = len(np.unique(distance_m))
-    if different < 3 or min(distance_m.min(), range_m.min()) <= 0:
-        raise InputError(f"a calibration: expected positive ranges at 3 distances or more; found {different} distances")
+    if different < 3:
+        raise InputError(f"distance_m: {different} different values; expected at least 3")
+    checked_number(distance_m.min(), "the smallest distance_m", above=0)
+    checked_number(range_m.min(), "the smallest range_m", above=0)
     A = np.column_stack([distance_m, np.ones(len(distance_m))])
     (scale, offset_m), *_ = np.linalg.lstsq(A, range_m, rcond=None)
     residual = range_m - A @ [scale, offset_m]
