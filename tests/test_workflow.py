@@ -175,6 +175,18 @@ def test_nothing_runs_twice_and_spoilt_results_are_restored(project: Path, capsy
     assert contents(project) == before
 
 
+def test_a_part_that_is_the_same_at_both_budgets_runs_once(project: Path, capsys: pytest.CaptureFixture) -> None:
+    edit(project / "notebooks" / "runs.toml", "smoke = {}", "smoke = { value = 3.0 }")
+    assert main(["reproduce", "single", "--budget", "smoke"]) == 0
+    assert not started(capsys.readouterr().err)
+    smoke, full = (contents(project / name / "single") for name in ("results-smoke", "results"))
+    assert smoke.keys() == full.keys()
+    assert smoke["table.csv"] == full["table.csv"]
+    edit(project / "notebooks" / "runs.toml", "smoke = { value = 3.0 }", "smoke = { value = 4.0 }")
+    assert main(["reproduce", "single", "--budget", "smoke"]) == 0
+    assert started(capsys.readouterr().err) == {"single"}
+
+
 def test_key_follows_what_a_part_depends_on(project: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     notebook = project / "notebooks" / "tiny.ipynb"
     (project / "data.csv").write_text("1\n")

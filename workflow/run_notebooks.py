@@ -58,6 +58,19 @@ def stamp(key: str, folder: Path) -> str:
     return json.dumps({"key": key, "files": files})
 
 
+def is_current(folder: Path, key: str) -> bool:
+    """Whether a folder holds the output for a ``key``, unchanged."""
+    noted = folder / STAMP
+    return noted.is_file() and noted.read_text(encoding="utf-8") == stamp(key, folder)
+
+
+def replace_folder(made: Path, target: Path) -> None:
+    """Move a folder to the place of another, if any."""
+    shutil.rmtree(target, ignore_errors=True)
+    target.parent.mkdir(parents=True, exist_ok=True)
+    os.replace(made, target)
+
+
 def run(parts: Sequence[Part], cache: Path, arrays: Path, jobs: int = 2) -> dict[str, BaseException | None]:
     """Run the parts that are out of date, ``jobs`` at once. Returns the error, or None, of each that ran, by its label.
 
@@ -69,8 +82,14 @@ def run(parts: Sequence[Part], cache: Path, arrays: Path, jobs: int = 2) -> dict
     with within as scratch, stopped(scratch), ThreadPoolExecutor(jobs) as pool:
         for part in sorted(parts, key=lambda part: -part.experiment.order):
             key, kept, own = part.key(), part_folder(cache, part), Path(scratch, part.label.replace("/", "~"))
-            noted = kept / STAMP
-            if not noted.is_file() or noted.read_text(encoding="utf-8") != stamp(key, kept):
+            if is_current(kept, key):
+                continue
+            # Some parts are the same at both budgets.
+            others = cache.parent.glob(f"*/{kept.relative_to(cache)}")
+            if same := next((folder for folder in others if is_current(folder, key)), None):
+                shutil.copytree(same, own)
+                replace_folder(own, kept)
+            else:
                 running[part.label] = pool.submit(execute, part, key, own, arrays, kept)
         while wait(running.values(), LINE_PERIOD_S).not_done:
             tell_progress(Path(scratch))
@@ -113,9 +132,7 @@ def execute(part: Part, key: str, scratch: Path, arrays: Path, target: Path) -> 
         progress.unlink()
     nbformat.write(notebook, output / EXECUTED)
     (output / STAMP).write_text(stamp(key, output), encoding="utf-8")
-    shutil.rmtree(target, ignore_errors=True)
-    target.parent.mkdir(parents=True, exist_ok=True)
-    os.replace(output, target)
+    replace_folder(output, target)
     _tell(f"{part.label}: done in {time.monotonic() - begin_s:.0f} s")
 
 

@@ -154,7 +154,7 @@ class CloudOdometry(BaseOdometry):
         chosen = self._in_sight(self.map, points, T_init)
         if not len(chosen):
             return None, None
-        tree = build_kdtree(self.map.means(chosen))
+        tree = build_kdtree(self.map.means(chosen), lazy=self.options.error == "point")
         if self.options.error != "gicp":
             return Target(tree), None
         if self.style.covariances == "neighbours":

@@ -13,7 +13,7 @@ from steelnb.core.kernels import njit
 from steelnb.core.types import Array, IntArray
 from steelnb.points import VoxelShapes
 from steelnb.points.covariances import NEIGHBOURS, PlaneCovariances, neighbour_covariances, normals
-from steelnb.points.kdtree import KdTree, build_kdtree, nearest_k
+from steelnb.points.kdtree import KdTree, build_kdtree, nearest_k, split
 
 CACHED = 3
 """Number of neighbours of each source point that are cached between iterations."""
@@ -137,7 +137,11 @@ def correspond_points(tree, source, T, limit, match, neighbours, others_min, sea
                 continue
             if count == k_most:
                 search_limit = min(search_limit, cached_max * (1.0 + 1e-9) + 1e-300)
-        count = nearest_k(tree, qx, qy, qz, k_most, search_limit, neighbours[i], distance, node_of, node_distance)
+        count = -1
+        while count < 0:
+            count = nearest_k(tree, qx, qy, qz, k_most, search_limit, neighbours[i], distance, node_of, node_distance)
+            if count < 0:
+                split(tree, -1 - count)
         for c in range(count, k_most):
             neighbours[i, c] = -1
         match[i] = neighbours[i, 0] if count > 0 and distance[0] <= limit * limit else -1

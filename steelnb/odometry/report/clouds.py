@@ -104,7 +104,7 @@ class ReportCloudOdometry(BaseOdometry):
 
     def registered(self, points: Array) -> Aligned:
         """Register points ``(N, 3)``, world frame, to the whole map."""
-        t, tree, covariance = self.program, build_kdtree(self.map_points()), None
+        t, tree, covariance = self.program, build_kdtree(self.map_points(), lazy=self.program.error == "point"), None
         target = Target(tree)
         if t.error == "gicp":
             covariance = neighbour_covariances(points)
