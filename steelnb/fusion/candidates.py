@@ -86,14 +86,16 @@ def is_held(bars: Segments, others: Segments, reach_m: float, step_m: float, nea
     return np.asarray(near.any(axis=1).all(axis=0))
 
 
-def split_bends(points: Array, bars: Segments) -> Segments:
+def split_bends(points: Array, bars: Segments, tube_m: float = TUBE_M, share_max: float = BEND_SHARE_MAX) -> Segments:
     """The bars of ``points (N, 3)``, with each bar that bends slightly replaced by two.
 
     The tube of a straight bar also holds a bar that bends by a few degrees, and its axis is then wrong by centimetres.
     A bar is split if two lines that meet at the angle of a bend explain its points clearly better than one line, and if
     the shorter one rises across the other by more than `TUBE_M`. Below that, `merge_pieces` would join them again.
+    Points count within ``tube_m`` of an axis, and the share of the squared distances that remains is at most
+    ``share_max``.
     """
-    label, is_straight, bends = nearest_bar(points, bars, TUBE_M, 0.0), np.ones(len(bars), dtype=bool), []
+    label, is_straight, bends = nearest_bar(points, bars, tube_m, 0.0), np.ones(len(bars), dtype=bool), []
     for b in np.flatnonzero(bars.length > 2 * TUBE_M / math.tan(math.acos(BEND_MAX))):
         offset, length = points[label == b] - bars.start[b], bars.length[b]
         along, place = offset @ bars.direction[b], BEND_PLACES * length
@@ -106,7 +108,7 @@ def split_bends(points: Array, bars: Segments) -> Segments:
         at, fit = place[best], fits[best]
         slope = float(np.linalg.norm(fit[2]))
         is_bend = BEND_MAX < 1.0 / math.hypot(1.0, slope) < BEND_MIN and slope * min(at, length - at) > TUBE_M
-        if is_bend and least[best] <= BEND_SHARE_MAX * cost:
+        if is_bend and least[best] <= share_max * cost:
             is_straight[b] = False
             corner = bars.start[b] + np.array([[1, 0, 0], [1, at, 0], [1, length, length - at]]) @ fit
             count, radius = np.bincount(along > at), math.sqrt(least[best] / len(offset))

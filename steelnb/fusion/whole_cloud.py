@@ -21,6 +21,7 @@ from steelnb.fusion.candidates import (
     bars_on_ridges,
     is_held,
     merge_pieces,
+    split_bends,
 )
 from steelnb.fusion.joints import REACH_M, TILT_DETERMINED_RAD, between_joints, find_joints
 from steelnb.fusion.ridges import ridge_points
@@ -32,10 +33,8 @@ from steelnb.points.surfaces import Surface, Surfaces
 
 CELL, CELL_VOXELS = 2.5, 1.5
 """Edge of the cells in which surfaces are sought, in multiples of the default voxel, and its minimum in voxels."""
-RISE_M = 0.2
-"""See `merge_pieces`."""
-SUM_VOXELS = 1.8
-"""See ``sum_m`` in `ridge_points`."""
+RISE_M, SUM_VOXELS = 0.2, 1.8
+"""See `merge_pieces`, and ``sum_m`` in `ridge_points`."""
 FREE_MIN = 0.6
 """Minimum freedom of a bar. On a surface it is about a third."""
 SLICE_M, REACH = 0.1, 3.0
@@ -44,14 +43,14 @@ SURE_M = 0.8
 """A bar that is shorter than this needs a bar at each end: where a flight has seen half of a member, it lies askew."""
 HALF_WIDTH_SHARE = 0.9
 """Share of a bar's points that lie within half its width of its axis."""
-FIT_TUBES, FIT_MIN, FIT_ROUNDS, FIT_SCALE = 1.5, 8, 3, 1.5
+FIT_TUBES, FIT_MIN, FIT_ROUNDS, FIT_SCALE, BEND_SHARE = 1.5, 8, 3, 1.5, 0.95
 """See `refitted`: distance of points in tube radii, their minimum number, rounds of weights, and the scale of these in
-median distances."""
+median distances; and ``share_max`` in `split_bends`: all points tell bends that are small beside the section."""
 TUBES_MIN = 40
 """Minimum size of a cloud in tubes: the bars of a small model are thinner than those of a tower."""
-WIDER, WIDTH_MAX = (2, 4), 3.0
-"""Wider tubes to try, in multiples of the default, and the maximum median width of bars that fit in a tube, in its
-radii. On the towers ``tapered`` and ``slender``, medians are up to 2.5."""
+WIDER, WIDTH_MAX, KEPT_MIN = (2, 4), 3.0, 0.9
+"""Wider tubes to try, in multiples of the default; the maximum median width of bars that fit in a tube, in its radii;
+and the minimum length of theirs, as a share of the default's."""
 OFF_MIN = 0.05
 """A cloud with a smaller share of its points off all surfaces has no bars worth a search with wider tubes."""
 TURN_MAX_RAD = math.radians(20)
@@ -116,7 +115,8 @@ def bars_of_cloud(
     tries = (_bars_at_scale(points, each * narrow_m / TUBE_M, voxel_m, min_votes) for each in (1, *WIDER))
     found = next(tries)
     if tube_m is None and not found.fit_tubes and not found.all_on_surfaces:
-        found = next((each for each in tries if each.fit_tubes), found)
+        enough_m = KEPT_MIN * float(found.bars.length.sum())
+        found = next((each for each in tries if each.fit_tubes and each.bars.length.sum() >= enough_m), found)
     return found
 
 
@@ -149,7 +149,7 @@ def _bars_in_tubes(points: Array, voxel_m: float, min_votes: int) -> CloudBars:
     off, bars = points[label < 0], Segments.empty()
     if len(free) >= min_votes and np.linalg.norm(np.ptp(free, axis=0)) > 2 * LENGTH_MIN_M:
         bars = _tied(bars_on_ridges(free, TUBE_M, min_votes, GRIDS, RISE_M), off)
-        bars, is_weak = refitted(off, bars)
+        bars, is_weak = refitted(off, split_bends(off, bars, FIT_TUBES * TUBE_M, BEND_SHARE))
         bars = _tied(bars, off, is_weak)
     width_m = widths_of(off, bars)
     freedom = freedom_of(ridge, bars, width_m)

@@ -76,6 +76,34 @@ def test_each_member_is_one_bar_with_ground_or_a_wall_beside(beside):
     assert (found.surface >= 0).sum() == sum(surface.points for surface in found.surfaces)
 
 
+def bent_legs(bend_deg: float, lower_m: float, upper_m: float) -> np.ndarray:
+    """Four upright members, and four on top of them that lean by an angle: ``(8, 2, 3)``."""
+    turn = np.radians(bend_deg)
+    feet = np.array([[0.0, 0, 0], [2, 0, 0], [0, 2, 0], [2, 2, 0]])
+    knees = feet + np.array([0.0, 0, lower_m])
+    heads = knees + upper_m * np.array([np.sin(turn), 0.0, np.cos(turn)])
+    return np.concatenate([np.stack([feet, knees], axis=1), np.stack([knees, heads], axis=1)])
+
+
+@pytest.mark.parametrize(("bend_deg", "lower_m", "upper_m"), [(0.0, 1.2, 1.2), (6.0, 1.2, 1.2), (3.0, 3.5, 2.5)])
+def test_members_that_meet_at_a_bend_are_two_bars_and_in_line_one(bend_deg, lower_m, upper_m):
+    rng, members = np.random.default_rng(0), bent_legs(bend_deg, lower_m, upper_m)
+    points = scanned(members, 800, 0.0, 0.02)
+    flange = rng.uniform(0, 0.08, (len(points), 1))
+    points += np.where(rng.uniform(size=(len(points), 1)) < 0.5, flange * [1, 0, 0], flange * [0, 1, 0])
+    found = bars_of_cloud(points).bars
+    match = match_members(found, members)
+    assert match.right.all()
+    assert sorted(match.member) == (list(range(8)) if bend_deg else sorted(set(match.member)))
+    assert len(found) == (8 if bend_deg else 4)
+
+
+def test_wide_bars_that_a_wider_tube_would_lose_stay():
+    found = bars_of_cloud(scanned(bent_legs(6.0, 1.2, 1.2), 400, 0.14, 0.02))
+    assert np.median(found.width_m) > 0.18
+    assert found.bars.length == pytest.approx(np.full(4, 2.4), abs=0.2)
+
+
 def test_a_bar_on_a_wall_is_not_free_and_its_width_is_that_of_its_points():
     rng = np.random.default_rng(6)
     along = rng.uniform(0, 3, 3000)
