@@ -139,6 +139,7 @@ def test_the_convergence_notebook_maps_the_basin_and_searches(results):
     wide, narrow = (f"3-DoF ICP, {distance} m" for distance in (0.5, 0.1))
     assert metrics[f"{wide}.right_share"] > metrics[f"{narrow}.right_share"]
     assert metrics[f"{wide}.wrong_share"] > metrics[f"{narrow}.wrong_share"]
+    assert 0 < metrics["pairs as in the report.gicp.right_share"] <= metrics["pairs within 0.5 m.gicp.right_share"]
     assert len(table) == metrics["flights"] == 2 * 2 * 3
     assert set(table["method"]) == {"icp-3dof", "report-icp-3dof"}
     assert table["wrong"].sum() == metrics["flights_wrong"]
@@ -210,7 +211,7 @@ def test_the_claims_notebook_judges_every_claim_by_the_committed_study(results):
     assert set(judged["verdict"]) <= {"holds", "does not hold", "inconclusive"}
     assert len(judged) >= 20
     assert (judged["n_seeds"] >= 3).all()
-    assert table.loc[table["verdict"] == "not run", "name"].tolist() == ["gicp-from-a-poor-start"]
+    assert not (table["verdict"] == "not run").any()
     # The drift of a random walk is known: its mean length after 180 s, by the Maxwell distribution.
     walk = table[table["name"] == "random-walk"].iloc[0]
     expected_m = 0.002 * (125 * 180) ** 0.5 * (8 / math.pi) ** 0.5

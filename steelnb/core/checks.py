@@ -53,7 +53,7 @@ def checked_choice(value: object, name: str, known: Iterable[str]) -> str:
 
 def checked_kind(value: object, name: str, kind: Any, hint: str = "") -> Any:
     """An object of a class, or of one in a union. ``hint``: what to call to get one."""
-    if isinstance(value, kind) and not isinstance(value, str | bytes):
+    if isinstance(value, kind) and (kind is str or not isinstance(value, str | bytes)):
         return value
     kinds = " or ".join(getattr(each, "__name__", str(each)) for each in get_args(kind) or (kind,))
     raise InputError(f"{name} = {shown(value)}: expected {kinds}{f', as from {hint}' if hint else ''}")
@@ -206,7 +206,7 @@ def _real(values: object, name: str, expected: str) -> _Array:
         if array.dtype.kind not in "fiu":
             raise TypeError
         return array.astype(np.float64, copy=False)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, RuntimeError):  # the last by tensors with gradients
         kind = getattr(values, "dtype", type(values).__name__)
         raise InputError(f"{name}: {kind}; expected {expected}") from None
 

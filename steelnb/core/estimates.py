@@ -37,6 +37,10 @@ class OdometryStep:
     unobserved: int = 0
 
     def __post_init__(self) -> None:
+        checked_kind(self.used, "OdometryStep.used", bool | np.bool_)
+        checked_kind(self.reason, "OdometryStep.reason", str)
+        for stage, seconds in checked_kind(self.seconds, "OdometryStep.seconds", dict).items():
+            checked_number(seconds, f"OdometryStep.seconds[{stage!r}]")
         set_checked(
             self,
             stamp_s=checked_number(self.stamp_s, "OdometryStep.stamp_s"),

@@ -44,7 +44,7 @@ def display_name(path: Path | str) -> str:
 
 def check_folder(target: Path, overwrite: bool) -> None:
     """Raise `OutputError` if a folder is not empty, unless it may be overwritten."""
-    if not overwrite and target.exists() and (not target.is_dir() or any(target.iterdir())):
+    if not overwrite and os.path.exists(target) and (not target.is_dir() or any(target.iterdir())):
         raise OutputError(f"{target}: exists already; expected a new folder, or --force to overwrite")
 
 
@@ -56,7 +56,7 @@ def new_folder(target: Path | str, stale: Sequence[str] = ()) -> Iterator[Path]:
     created first, so a place that is not writable raises `OutputError` before any work is done.
     """
     target = Path(target).absolute()
-    parent = next(folder for folder in (target, *target.parents) if folder.exists())
+    parent = next(folder for folder in (target, *target.parents) if os.path.exists(folder))
     try:
         with tempfile.TemporaryDirectory(prefix=".steelnb-", dir=parent) as scratch:
             yield Path(scratch)

@@ -113,6 +113,7 @@ class Scan:
 
     def __post_init__(self) -> None:
         stamp_s = checks.checked_number(self.stamp_s, "Scan.stamp_s")
+        checks.checked_kind(self.fault, "Scan.fault", str)
         checks.set_checked(self, stamp_s=stamp_s, points=checks.checked_cloud(self.points, "Scan.points"))
 
     def __repr__(self) -> str:
@@ -237,12 +238,12 @@ class Segments:
 
     def transformed(self, T_target_source: Array) -> "Segments":
         """The same segments in another frame."""
-        R, t = T_target_source[:3, :3], T_target_source[:3, 3]
+        R, t = (T := checks.checked_pose(T_target_source, "T_target_source"))[:3, :3], T[:3, 3]
         return Segments(self.start @ R.T + t, self.end @ R.T + t, self.count, self.radius)
 
     def moved(self, by: Array) -> "Segments":
         """The segments translated by ``by (3,)``, metres."""
-        return replace(self, start=self.start + by, end=self.end + by)
+        return replace(self, start=self.start + checks.checked_array(by, "by", (3,)), end=self.end + by)
 
     def take(self, index: NDArray[np.int64] | NDArray[np.bool_]) -> "Segments":
         """The segments selected by an index or a mask."""

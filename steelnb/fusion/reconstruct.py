@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from steelnb.core.arguments import checks_arguments
-from steelnb.core.checks import check_sequence, checked_pose, checked_poses
+from steelnb.core.checks import check_sequence, checked_kind, checked_pose, checked_poses
 from steelnb.core.errors import InputError
 from steelnb.core.geometry import shift_of, translated
 from steelnb.core.types import Array, Scan, Segments
@@ -55,6 +55,8 @@ def reconstruct(
     """
     settings = StructureSettings() if settings is None else settings
     check_sequence(scans, "scans", "Scan")
+    for k, scan in enumerate(scans if isinstance(scans, list | tuple) else ()):
+        checked_kind(scan, f"scans[{k}]", Scan)
     T_world_drone = checked_poses(T_world_drone, "T_world_drone", len(scans))
     origin = shift_of(T_world_drone[0, :3, 3]) if len(scans) else np.zeros(3)
     if origin.any():

@@ -1,6 +1,7 @@
 """Writer of a `Flight` to a ROS 1 bag or an MCAP file with rosbags, one scan in memory at a time."""
 
 import heapq
+import os
 import tempfile
 from collections.abc import Callable, Iterator
 from decimal import Decimal
@@ -30,7 +31,7 @@ def check_target(path: Path, overwrite: bool = False) -> None:
     """Raise `InputError` unless the suffix is .bag or .mcap, and `OutputError` if the path exists."""
     if path.suffix.lower() not in (".bag", ".mcap"):
         raise InputError(f"{path}: ending {path.suffix!r}; expected .bag or .mcap")
-    if path.is_dir() or (path.exists() and not overwrite):
+    if os.path.isdir(path) or (os.path.exists(path) and not overwrite):
         raise OutputError(f"{path}: exists already; expected a new name, or --force to overwrite a file")
 
 
@@ -137,4 +138,6 @@ def _pose(T: Array) -> tuple[tuple[float, ...], tuple[float, ...]]:
 
 
 def _ns(stamp_s: float) -> int:
+    if not 0 <= stamp_s < 2**31:
+        raise InputError(f"stamp {stamp_s:.10g} s: expected 0 to 2147483648 s, as ROS has them")
     return round(Decimal(stamp_s) * 10**9)  # a float product would be off by 100 ns

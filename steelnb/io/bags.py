@@ -113,6 +113,8 @@ class _Bag:
     def _camera(self, topic: str) -> ros.CameraInfo:
         """The camera of depth images, and a note if its size is not theirs."""
         camera = self.headers.cameras[camera_topic(self.bag, topic, list(self.headers.cameras))]
+        if camera.distortion:
+            self.headers.notes[f"the lens's distortion ({camera.distortion}) is left out"] = None
         if self.headers.shape is not None:
             with suppress(InputError):  # it is the fault of each scan
                 self.headers.notes |= dict.fromkeys(filter(None, ros.camera_matrix(camera, *self.headers.shape)[1:]))
@@ -121,8 +123,10 @@ class _Bag:
     def _imu(self, topic: str, tree: Tree, body: str) -> Imu:
         """Inertial samples with increasing stamps, in the axes of the drone if a transform relates them."""
         rows = self.headers.rows(topic, 6, "inertial sample")
-        rows = rows[np.isfinite(rows).all(axis=1)]
-        rows = rows[rising_stamps(rows[:, 0])]
+        whole, skipped = rows[np.isfinite(rows).all(axis=1)], self.headers.skipped
+        skipped["inertial sample that is not finite"] += len(rows) - len(whole)
+        rows = whole[rising_stamps(whole[:, 0])]
+        skipped["inertial sample whose stamp does not rise"] += len(whole) - len(rows)
         first_s = rows[:1, 0] if len(rows) else np.zeros(1)
         place = tree.place(body, tree.resolve(self.headers.frame_of[topic][0]), first_s)
         T_drone_imu = np.eye(4) if place is None else drone_axes(body).T @ place.T_target_source[0]

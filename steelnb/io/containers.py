@@ -186,6 +186,8 @@ class Part:
             with self._reader() as reader:
                 selected = [each for each in reader.connections if each.topic in topics and _is_known(_encoding(each))]
                 for connection, log_ns, data in reader.messages(selected) if selected else ():
+                    if not isinstance(log_ns, int):
+                        raise TypeError(log_ns)
                     yield Raw(log_ns, connection.topic, connection.msgtype, _encoding(connection), data)
         except Exception:  # of the library, in the middle of a damaged file
             self._is_scanned = self.path.is_file()

@@ -13,7 +13,7 @@ from steelnb.core.files import display_name
 from steelnb.core.types import Array, Trajectory
 from steelnb.io.clouds import READERS, read_points
 from steelnb.io.opened import Opened, Walk
-from steelnb.io.trajectories import SECONDS, read_trajectory, unit_of_stamps
+from steelnb.io.trajectories import OUT_OF_ORDER, SECONDS, read_trajectory, unit_of_stamps
 
 TRUE = ("groundtruth.tum", "groundtruth.txt", "groundtruth.csv")
 TRAJECTORIES = (".tum", ".txt", ".csv")
@@ -42,12 +42,17 @@ def open_clouds(path: Path, scans: str | None, poses: str | None) -> Opened:
     trajectory = _trajectory_file(path, poses, files)
     prior = read_trajectory(trajectory, skipped)
     stamp_s, source = _stamps(files, prior)
-    if stamp_s is None:
+    if stamp_s is not None:
+        by_stamp = np.argsort(stamp_s, kind="stable")
+        files, stamp_s = [files[k] for k in by_stamp], stamp_s[by_stamp]
+    else:
         stamp_s, source = prior.stamp_s, "in the order of their names"
-        if len(prior) != len(files):
+        dropped = f" ({skipped.total()} dropped)" if skipped.total() else ""
+        if len(prior) != len(files) or skipped[OUT_OF_ORDER]:
+            order = f", {skipped[OUT_OF_ORDER]} of them out of order" if skipped[OUT_OF_ORDER] else dropped
             raise InputError(
-                f"{path}: {len(files)} clouds, no stamps in their names, and {len(prior)} poses in {trajectory.name}; "
-                f"expected one pose per cloud, or stamps in the names, unlike {files[0].name}"
+                f"{path}: {len(files)} clouds, no stamps in their names, and {len(prior)} poses in {trajectory.name}"
+                f"{order}; expected one pose per cloud, or stamps in the names, unlike {files[0].name}"
             )
     strays = [file for file in strays if file != trajectory and file.name not in TRUE]
     if strays:
@@ -125,7 +130,7 @@ def _stamps(files: Sequence[Path], prior: Trajectory) -> tuple[Array | None, str
     columns = list(zip(*numbers, strict=False))  # the numbers of each place, the last first
     for column, before in zip(columns, [*columns[1:], None], strict=False):
         for stamp_s, units in _readings(column, before, prior):
-            step_s = np.diff(stamp_s)
+            step_s = np.diff(np.sort(stamp_s) if "." in column[0] else stamp_s)
             if not len(step_s) or ((step_s >= 0).all() and STEP_S[0] <= np.median(step_s) <= STEP_S[1]):
                 return stamp_s, f"stamped by their names ({units})"
     return None, ""
@@ -134,7 +139,7 @@ def _stamps(files: Sequence[Path], prior: Trajectory) -> tuple[Array | None, str
 def _readings(column: Sequence[str], before: Sequence[str] | None, prior: Trajectory) -> Iterator[tuple[Array, str]]:
     """What the same number of all names, and the one before it, may mean: stamps in seconds, and their units."""
     if any("." in number for number in column):
-        yield np.array([float(number) for number in column]), "s"
+        yield _decimals(column)
         return
     whole = [int(number) for number in column]
     widths = {len(number) for number in column}
@@ -153,6 +158,19 @@ def _readings(column: Sequence[str], before: Sequence[str] | None, prior: Trajec
         stamp_s = np.array([number // per_second + number % per_second / per_second for number in whole])
         if unit in sure or _overlap(stamp_s, prior.stamp_s) > OVERLAP_MIN:
             yield stamp_s, unit.replace("us", "µs")
+
+
+def _decimals(column: Sequence[str]) -> tuple[Array, str]:
+    """Seconds with decimals. Some programs write nanoseconds after the point without the zeros before them: stamps of
+    scans then have even steps if they are read so, and not otherwise."""
+    plain, parts = np.array([float(number) for number in column]), [number.partition(".") for number in column]
+    longest = max(len(part) for *_, part in parts)
+    digits = next((each for each in (3, 6, 9) if each >= longest), 0)
+    if not digits or len({len(part) for *_, part in parts}) == 1:
+        return plain, "s"
+    padded = np.array([int(whole) + int(part or 0) / 10**digits for whole, _, part in parts])
+    uneven = [float(np.ptp(np.diff(np.sort(stamp_s)))) for stamp_s in (plain, padded)]
+    return (padded, f"s and {FRACTIONS[digits]}") if uneven[1] < 0.5 * uneven[0] else (plain, "s")
 
 
 def _overlap(one_s: Array, other_s: Array) -> float:

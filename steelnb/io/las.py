@@ -1,8 +1,9 @@
 """Reader of LAS files, and of LAZ files by lazrs, whose sizes are checked first (ASPRS LAS 1.0 to 1.4, LASzip 3.4)."""
 
 import io
+import re
 import struct
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,8 @@ import numpy as np
 from steelnb.core.types import Array
 from steelnb.io.records import xyz_of
 
-HEADER_MIN, RECORD_MIN, FORMAT_MAX = 227, 20, 10
+HEADER_MIN, RECORD_MIN = 227, (20, 28, 26, 34, 57, 63, 30, 36, 38, 59, 67)
+"""Minimum sizes of a header, and of a record of each point format."""
 COMPRESSED, COUNT_IN_1_4 = 0xC0, 255
 """Bits of the point format that LASzip sets; size of a header with a count of 64 bits."""
 POINTS_PER_BYTE_MAX = 100
@@ -19,6 +21,8 @@ BLOCK = 1 << 20
 LASZIP, VARIABLE, CHUNKED, LAYERED = (b"laszip encoded", 22204), 0xFFFFFFFF, 2, 3
 """Identification of LASzip's record in a header, its chunk size if chunks differ in size, and its compressors."""
 SIZES = {6: 20, 7: 8, 8: 6, 9: 29, 10: 30, 11: 6, 12: 8, 13: 29}
+FEET = {9002: "feet", 9003: "US survey feet"}
+"""Units of GeoTIFF's key 3076 that are not the metre."""
 LAYERS = {10: 9, 11: 1, 12: 2, 13: 1}
 """Size in bytes, and number of layers, of each type of item; extra bytes have any size, and a layer each."""
 
@@ -32,13 +36,15 @@ def read_las(path: Path) -> Array:
     if file[25] >= 4 and min(size, len(file)) >= COUNT_IN_1_4:
         count = struct.unpack_from("<Q", file, 247)[0] or count
     scale, offset = np.frombuffer(file, "<f8", 6, 131).reshape(2, 3)
-    if not HEADER_MIN <= size <= begin <= len(file) or stride < RECORD_MIN or kind & ~COMPRESSED > FORMAT_MAX:
-        raise ValueError(
-            f"a header of {size} bytes, points of format {kind & ~COMPRESSED} and {stride} bytes at {begin}"
-        )
+    form = kind & ~COMPRESSED
+    if not HEADER_MIN <= size <= begin <= len(file) or form >= len(RECORD_MIN) or stride < RECORD_MIN[form]:
+        raise ValueError(f"a header of {size} bytes, points of format {form} and {stride} bytes at {begin}")
+    _check_metres(file, size, begin, records)
     if not np.isfinite(offset).all() or not (np.isfinite(scale) & (scale > 0)).all():
         raise ValueError(f"scales {scale.tolist()}, offsets {offset.tolist()}; expected finite numbers, scales above 0")
-    data = memoryview(file)[begin:]
+    data = memoryview(file)[begin : _end_of_points(file, size)]
+    if not kind & COMPRESSED and len(data) - count * stride >= stride:
+        raise ValueError(f"{len(data) // stride} points; expected {count}, as its header says")
     points = _unpack(file, size, begin, records, stride, count) if kind & COMPRESSED else data
     xyz = xyz_of(points, count, stride, [("<i4", 0), ("<i4", 4), ("<i4", 8)])
     xyz *= scale
@@ -46,15 +52,45 @@ def read_las(path: Path) -> Array:
     return xyz
 
 
+def _end_of_points(file: bytes, size: int) -> int:
+    """Where the points end: at the waveforms or the extended records of LAS 1.3 and 1.4, else with the file."""
+    places = [(227, 3), (235, 4)]
+    after = [struct.unpack_from("<Q", file, at)[0] for at, minor in places if file[25] >= minor and size >= at + 8]
+    return min([each for each in after if each > 0] + [len(file)])
+
+
+def _records(file: bytes, at: int, end: int, count: int) -> Iterator[tuple[bytes, int, bytes]]:
+    """Author, number and content of each of the header's further records."""
+    while count and at + 54 <= end:
+        author, number, length = struct.unpack_from("<16sHH", file, at + 2)
+        yield author.rstrip(b"\0"), number, file[at + 54 : at + 54 + length]
+        at, count = at + 54 + length, count - 1
+
+
+def _check_metres(file: bytes, at: int, end: int, count: int) -> None:
+    """Raise ValueError if a coordinate system is given whose unit is not the metre."""
+    for author, number, content in _records(file, at, end, count):
+        unit = ""
+        if author == b"LASF_Projection" and number == 34735:
+            entries = struct.iter_unpack("<4H", content[8 : 8 + (max(len(content), 8) - 8) // 8 * 8])
+            keys = {key: value for key, place, _, value in entries if not place}
+            unit = "degrees" if keys.get(1024) == 2 else FEET.get(keys.get(3076, 9001), "")
+        elif author == b"LASF_Projection" and number == 2112:
+            text = content.decode("utf-8", "replace")
+            named = re.findall(r'(?:LENGTH)?UNIT\["([^"]+)", *([0-9.eE+-]+)', text)
+            is_projected = "PROJC" in text
+            unit = next((name for name, size in named[-1:] if is_projected and abs(float(size) - 1) > 1e-9), "")
+            unit = "degrees" if not is_projected and text.startswith("GEOG") else unit
+        if unit:
+            raise ValueError(f"coordinates in {unit}, as its coordinate system says; expected metres")
+
+
 def _unpack(file: bytes, at: int, begin: int, records: int, stride: int, count: int) -> memoryview:
     """The records of compressed points. ``at``, ``begin``: where the header's further records and the points are."""
     import lazrs
 
-    about = None
-    while about is None and records and at + 54 <= begin:
-        user, number, length = struct.unpack_from("<16sHH", file, at + 2)
-        about = file[at + 54 : at + 54 + length] if (user.rstrip(b"\0"), number) == LASZIP else None
-        at, records = at + 54 + length, records - 1
+    found = _records(file, at, begin, records)
+    about = next((content for author, number, content in found if (author, number) == LASZIP), None)
     if about is None or len(about) < 34 or len(about) != 34 + 6 * about[32]:
         raise ValueError("compressed points, but no sound record of LASzip in its header")
     items = list(struct.iter_unpack("<HHH", about[34:]))

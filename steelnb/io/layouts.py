@@ -83,7 +83,9 @@ def xyz_fields(message: Any) -> list[Any]:
     fields = {field.name: field for field in reversed(message.fields) if field.datatype in POINT_TYPES}
     if not all(axis in fields for axis in "xyz"):
         names = ", ".join(str(field.name) for field in message.fields) or "none"
-        raise InputError(f"fields {names}; expected x, y and z of a numeric type")
+        kinds = {int(field.datatype) for field in message.fields if field.name in "xyz"} - POINT_TYPES.keys()
+        odd = f" with datatype {', '.join(map(str, sorted(kinds)))}" if kinds else ""
+        raise InputError(f"fields {names}{odd}; expected x, y and z of a numeric type")
     xyz = [fields[axis] for axis in "xyz"]
     if any(0 <= b.offset - a.offset < _bytes(a) for a in xyz for b in xyz if a is not b):
         raise InputError(f"fields x, y, z at bytes {', '.join(str(field.offset) for field in xyz)} overlap")
@@ -99,16 +101,20 @@ def _row_step(name: str, declared: int, rows: int, columns: int, step: int, size
     tight = columns * step
     if rows * tight > size:
         raise InputError(f"{size} bytes of data; expected {rows * tight} for {rows} × {columns} of {step} bytes")
+    fits, as_stated = size // (rows * columns), (rows - 1) * declared + tight <= size <= rows * declared
+    if size == rows * columns * fits and fits != step and not (declared >= tight and as_stated):
+        # Another size of a point fits exactly: with the stated one, most points would be read from the wrong bytes.
+        raise InputError(f"{size} bytes of data are {fits} for each of {rows} × {columns}; expected {step}, as stated")
     if rows == 1:  # many drivers leave it at zero, and nothing needs it
         is_row = size in (tight, declared)
         return tight, "" if is_row else f"data are {size - tight} bytes longer than their points: the rest is left out"
-    if declared >= tight and (rows - 1) * declared + tight <= size <= rows * declared:
+    if declared >= tight and as_stated:
         pad = declared - tight
         is_aligned = pad <= max(PADDING_MAX, step - 1)
         return declared, "" if is_aligned else f"rows are {pad} bytes longer than stated: these are left out"
     if rows * tight == size:
         return tight, f"{name} {declared} is read as {tight}, which fits the data"
-    if declared >= tight and size > rows * declared and size % declared == 0:
+    if declared >= tight and size > rows * declared and size % declared == 0 and size % rows:
         return declared, f"data are {size // declared - rows} rows longer than stated: the rest is left out"
     raise InputError(f"{name} {declared} and {size} bytes of data; expected {rows} rows of {tight} bytes or more")
 

@@ -19,13 +19,15 @@ INTEGER_M = 1e-3
 
 class CameraInfo(NamedTuple):
     """A CameraInfo: ``K (3, 3)`` of an image of ``width × height`` pixels, binned by ``binning``; ``roi`` is the part
-    that is sent, as x, y, width, height in unbinned pixels."""
+    that is sent, as x, y, width, height in unbinned pixels; ``distortion`` names a model with parameters other than
+    zero, else is empty."""
 
     K: Array
     width: int
     height: int
     binning: tuple[int, int]
     roi: tuple[int, int, int, int]
+    distortion: str = ""
 
 
 @np.errstate(invalid="ignore", over="ignore")
@@ -65,11 +67,12 @@ def depth_points(image: Any, camera: CameraInfo) -> Array:
 
 def camera_of(message: Any) -> CameraInfo:
     """The camera of a CameraInfo; ROS 1 writes its K in upper case."""
-    roi = message.roi
+    roi, parameters = message.roi, np.asarray(getattr(message, "d", getattr(message, "D", ())), dtype=float)
     return CameraInfo(
         np.array(getattr(message, "k", getattr(message, "K", None)), dtype=float).reshape(3, 3),
         int(message.width), int(message.height), (max(int(message.binning_x), 1), max(int(message.binning_y), 1)),
         (int(roi.x_offset), int(roi.y_offset), int(roi.width), int(roi.height)),
+        str(message.distortion_model) if parameters.any() else "",
     )  # fmt: skip
 
 
@@ -83,8 +86,11 @@ def camera_matrix(camera: CameraInfo, height: int, width: int) -> tuple[Array, s
         raise InputError(f"CameraInfo with focal lengths {K[0, 0]:g}, {K[1, 1]:g}; expected a calibrated camera")
     whole = camera.width, camera.height
     is_central = 0 <= K[0, 2] <= width and 0 <= K[1, 2] <= height  # all that can be checked without a size
-    if whole == (width, height) or (whole == (0, 0) and is_central):
+    if whole in ((width, height), (0, 0)) and is_central:
         return K, ""
+    if whole == (width, height):
+        centre = f"({K[0, 2]:g}, {K[1, 2]:g})"
+        raise InputError(f"CameraInfo with principal point {centre}; expected one in its {width} × {height} pixels")
     part = (part_width, part_height) if part_width and part_height else whole
     for begin, size, binning in (((x, y), part, camera.binning), ((0, 0), whole, (1, 1))):
         binned = size[0] // binning[0], size[1] // binning[1]

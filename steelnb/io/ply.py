@@ -30,7 +30,8 @@ def read_ply(path: Path) -> Array:
     if encoding not in ORDERS:
         raise ValueError(f"format {encoding[:40]}; expected one of {', '.join(ORDERS)}")
     order, data, before = ORDERS[encoding], memoryview(file)[end.end() :], 0
-    for name, count, properties in _elements(lines):
+    elements = _elements(lines)
+    for name, count, properties in elements:
         if name == "vertex":
             break
         if order:
@@ -43,14 +44,17 @@ def read_ply(path: Path) -> Array:
     types = [order + _type(words) for words in properties]
     if any(names.count(axis) != 1 for axis in "xyz"):
         raise ValueError(f"a vertex has {', '.join(names)[:80] or 'no properties'}; expected x, y and z once each")
-    number = [names.index(axis) for axis in "xyz"]
+    number, is_last = [names.index(axis) for axis in "xyz"], elements[-1][0] == "vertex"
     if order:
         sizes = [np.dtype(each).itemsize for each in types]
+        after = bytes(data[before + count * sum(sizes) :][: sum(sizes)])
+        if is_last and after.strip():
+            raise ValueError(f"more bytes than those of {count} vertices of {sum(sizes)} bytes, as its header says")
         return xyz_of(data[min(before, len(data)) :], count, sum(sizes), [(types[k], sum(sizes[:k])) for k in number])
     text = bytes(data)
     if before:
         text = b"".join(text.splitlines(keepends=True)[before:])
-    points = Table(text, len(names), first=len(lines) + before + 1).values(number, count)
+    points = Table(text, len(names), first=len(lines) + before + 1).values(number, None if is_last else count)
     if len(points) != count:
         raise ValueError(f"{len(points)} vertices; its header says {count}")
     return points

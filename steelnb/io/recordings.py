@@ -1,11 +1,13 @@
 """Reader of recorded flights: bags, and folders of clouds with a trajectory. The truth is read separately."""
 
+import os
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
 
 from steelnb.core.arguments import checks_arguments
+from steelnb.core.checks import checked_pose
 from steelnb.core.errors import InputError
 from steelnb.core.files import display_name
 from steelnb.core.types import Array, Flight, IntArray, Scan, Trajectory
@@ -53,7 +55,9 @@ def read_flight(
     Raises `InputError`, also if no scan can be read.
     """
     path = Path(path)
-    if not path.exists():
+    if T_drone_sensor is not None:
+        T_drone_sensor = checked_pose(T_drone_sensor, "T_drone_sensor")
+    if not os.path.exists(path):  # Path.exists raises for a name that is too long
         raise InputError(f"{path}: does not exist; expected a recording")
     if not path.is_dir() and not is_bag(path):
         remedy = "; `steelnb segment` takes a single cloud" if path.suffix.lower() in READERS else ""

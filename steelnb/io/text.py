@@ -160,6 +160,7 @@ def read_table(path: Path) -> Table:
 
 def _words(comment: str) -> list[str]:
     """The words of a comment that could be names of columns: one of them is an x; units stay with their names."""
+    comment = comment.rpartition(":")[2].replace("|", " ").strip()
     words = _split(re.sub(r"\s+([\[(])", r"\1", comment), _separator(comment)[0])
     return words if any(_plain(word)[0].endswith("x") for word in words) else []
 

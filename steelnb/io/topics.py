@@ -50,6 +50,9 @@ def depth_images(bag: Container, name: str | None) -> tuple[list[str], list[Inpu
         is_grey = encoding == "mono16" and "depth" not in topic.lower()  # images in the infrared are mono16, too
         if topic == name or (encoding in DEPTHS and not is_grey):
             found.append(topic)
+        elif "depth" in topic.lower():
+            kinds = ", ".join(DEPTHS)
+            faults.append(InputError(f"{bag.path}: {topic} has encoding {encoding!r}; expected a depth image, {kinds}"))
     return found, faults
 
 

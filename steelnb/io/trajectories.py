@@ -20,9 +20,12 @@ GAP_MAX_S = 0.5, 2.0
 """Bounds of the longest gap that is interpolated. A drone may turn and stop in a longer one."""
 
 SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
-UNIX_S, STEP_MAX_S = (9e8, 4.3e9), 1e4
+UNIX_S, STEP_MAX_S = (9e8, 4.3e9), 60.0
 """Unix times of 1998 to 2106; a longer median interval of poses shows that the stamps are not seconds."""
-ROTATION_TOLERANCE = 1e-2
+ROTATION_TOLERANCE, QUATERNION_TOLERANCE, LENGTHS = 1e-2, 0.05, (0.5, 2.0)
+"""Maximum errors of rotation matrices and of the length of most quaternions, beyond which the numbers are something
+else; and bounds of the length of a single quaternion, which is normalised."""
+OUT_OF_ORDER = "pose whose stamp falls below the one before, which is sorted"
 STAMPS = ("(?:.*_)?header_stamp", "(?:time_?)?stamp", "(?:.*_)?(?:time|stamp|timestamp)|t|")
 """Patterns of the names of stamps, the preferred first; "" stands for names that are units, such as sec and nsec."""
 TUM = ("stamp", "x", "y", "z", "qx", "qy", "qz", "qw")
@@ -89,7 +92,10 @@ def _kitti(path: Path, table: Table) -> Array:
     beside = path.with_name("times.txt")
     if not beside.is_file():
         raise ValueError("12 numbers per line (KITTI) without stamps; expected them in times.txt beside it")
-    T, stamps = table.values(range(12)).reshape(-1, 3, 4), read_table(beside).values([0])
+    T, times = table.values(range(12)).reshape(-1, 3, 4), read_table(beside)
+    if times.columns != 1:
+        raise ValueError(f"times.txt beside it has {times.columns} numbers a line; expected one, the stamp")
+    stamps = times.values([0])
     R = T[:, :, :3]
     if len(T) != len(stamps):
         raise ValueError(f"{len(T)} poses, {len(stamps)} stamps in times.txt; expected as many")
@@ -149,20 +155,27 @@ def write_tum(path: Path | str, trajectory: Trajectory) -> None:
 
 
 def trajectory_of(path: Path | str, rows: Array, skipped: Counter[str]) -> Trajectory:
-    """Poses sorted by stamp from ``rows (N, 8)``: stamp, position and quaternion xyzw, not necessarily unit.
+    """Poses sorted by stamp from ``rows (N, 8)``: stamp, position and quaternion xyzw, which is normalised.
 
-    Rows with numbers that are not finite, positions beyond `COORDINATE_MAX_M`, zero quaternions and repeated stamps
-    are dropped and counted in ``skipped``. Raises `InputError` if no pose remains.
+    Rows with numbers that are not finite, positions beyond `COORDINATE_MAX_M`, quaternions far from unit length and
+    repeated stamps are dropped and counted in ``skipped``. Raises `InputError` if no pose remains, and if most
+    quaternions are not of unit length.
     """
-    largest = np.abs(rows[:, 4:]).max(axis=1, initial=0.0)
+    with np.errstate(over="ignore", invalid="ignore"):
+        length = np.linalg.norm(rows[:, 4:], axis=1)
+    is_unit = (length >= LENGTHS[0]) & (length <= LENGTHS[1])
     is_place = np.abs(rows[:, 1:4]).max(axis=1, initial=0.0) <= COORDINATE_MAX_M
-    valid = np.flatnonzero(np.isfinite(rows).all(axis=1) & is_place & (largest > 1e-6))
+    valid = np.flatnonzero(np.isfinite(rows).all(axis=1) & is_place & is_unit)
+    skipped[OUT_OF_ORDER] += int((np.diff(rows[valid, 0]) < 0).sum())
     _, first = np.unique(rows[valid, 0], return_index=True)
     chosen = valid[first]
-    skipped["pose that is not finite, has a zero quaternion or a repeated stamp"] += len(rows) - len(chosen)
+    skipped["pose that is not finite, has no unit quaternion or a repeated stamp"] += len(rows) - len(chosen)
     if not len(chosen):
         raise InputError(f"{path}: {len(rows)} poses, none valid; expected finite numbers and unit quaternions")
-    T = pose_matrices(np.column_stack([rows[chosen, 1:4], rows[chosen, 4:] / largest[chosen, None]]))
+    if (np.abs(length[chosen] - 1) > QUATERNION_TOLERANCE).mean() > 0.5:
+        typical = float(np.median(length[chosen]))
+        raise InputError(f"{path}: quaternions of length {typical:.3g}; expected {', '.join(QUATERNION)} of length 1")
+    T = pose_matrices(rows[chosen, 1:])
     return Trajectory(rows[chosen, 0], T)
 
 

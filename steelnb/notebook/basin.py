@@ -1,20 +1,37 @@
 """The basin of convergence of a registration: the starts from which a scan finds its true pose."""
 
 import copy
+import math
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
 
+from steelnb.core.errors import InputError
+from steelnb.core.files import reading
+from steelnb.core.geometry import exp_about, transform_points
+from steelnb.core.rng import stream
 from steelnb.core.types import Array, Flight
 from steelnb.odometry import CloudOdometry
-from steelnb.points import preprocess_scan
+from steelnb.points import VoxelMap, preprocess_scan
+from steelnb.points.covariances import neighbour_covariances, regularised
+from steelnb.registration import FREE, AlignOptions, align, make_target
 from steelnb.settings import ExperimentSettings
 from steelnb.simulation import Truth
 
 RIGHT_M = 0.1
 """Maximum error of a right result: the edge of the report's voxel."""
 MAP_EVERY = 4
+POOR_M, POOR_RAD = 1.0, math.radians(10)
+"""Maximum errors of the start in `from_poor_starts`."""
+POOR_CASES = (
+    ("pairs as in the report", "icp", 0.5), ("pairs as in the report", "gicp", 0.3),
+    ("pairs within 0.5 m", "icp", 0.5), ("pairs within 0.5 m", "gicp", 0.5),
+)  # fmt: skip
+"""Variant, method and maximum distance of a pair, metres."""
+POINTS_MIN = 100
+"""Minimum number of points of a scan in `from_poor_starts`; fewer may show one bar only."""
 
 
 def find_basin(
@@ -55,3 +72,61 @@ def find_basin(
     return basin.assign(
         error_m=error, right=taken & close, wrong=wrong, stayed=wrong & still, locked=wrong & ~still, refused=~taken
     )
+
+
+def from_poor_starts(
+    settings: ExperimentSettings,
+    flight: Flight,
+    truth: Truth,
+    count: int,
+    on_progress: Callable[[float], None] | None = None,
+) -> pd.DataFrame:
+    """Register ``count`` scans, spread over a flight, with ICP and GICP, six degrees of freedom, no odometry around it.
+    Each starts off its true pose by a random shift up to `POOR_M` and rotation up to `POOR_RAD`, the same for all
+    `POOR_CASES`. The map is that of `find_basin`, and holds none of these scans.
+
+    One row per case and scan, as a run that claims can judge: ``variant`` and ``method`` of the case, ``seed``, the
+    number of the scan, ``start_m`` and ``start_deg``, ``error_m`` at the middle of the scan, and ``right``, 1 if this
+    is at most `RIGHT_M`, else 0. Raises `InputError` if fewer scans have `POINTS_MIN` points, and for an odometry
+    without clouds.
+    """
+    clouds = CloudOdometry(settings.odometry, flight.T_drone_sensor).settings  # raises for other families
+    true = truth.trajectory.at(flight.prior.stamp_s).T_world_drone
+
+    def placed(k: int) -> Array:
+        points = preprocess_scan(flight.scans[k], true[k], flight.T_drone_sensor, clouds.preprocess)
+        return transform_points(true[k], points)
+
+    voxels, random, rows = VoxelMap(clouds.map_voxel_m), stream(settings.seed, "poor starts"), []
+    for k in range(0, len(flight.scans), MAP_EVERY):
+        voxels.insert(placed(k))
+    between = {k: placed(k) for k in range(MAP_EVERY // 2, len(flight.scans), MAP_EVERY)}
+    usable = [k for k, points in between.items() if len(points) >= POINTS_MIN]
+    if not 0 < count <= len(usable):
+        raise InputError(f"{count} poor starts: expected 1 to {len(usable)}, the scans that see enough")
+    aims = {method: make_target(voxels.means(), error) for method, error in (("icp", "point"), ("gicp", "gicp"))}
+    for done, k in enumerate(np.linspace(0, len(usable) - 1, count).round().astype(int).tolist(), 1):
+        scan = usable[k]
+        points, axis = between[scan], random.normal(size=(2, 3))
+        axis /= np.linalg.norm(axis, axis=1)[:, None]
+        start_m, turn_rad = POOR_M * random.random() ** (1 / 3), POOR_RAD * random.random()
+        middle = points.mean(axis=0)
+        T_start = exp_about(middle, np.concatenate([turn_rad * axis[0], start_m * axis[1]]))
+        covariance = regularised(neighbour_covariances(points))
+        for variant, method, limit_m in POOR_CASES:
+            options = AlignOptions("gicp" if method == "gicp" else "point", FREE["se3"], limit_m)
+            T = align(points, aims[method], T_start, options, covariance if method == "gicp" else None).T_target_source
+            error_m = float(np.linalg.norm(transform_points(T, middle[None])[0] - middle))
+            rows.append((variant, method, scan, start_m, math.degrees(turn_rad), error_m, int(error_m <= RIGHT_M)))
+        if on_progress:
+            on_progress(done / count)
+    return pd.DataFrame(rows, columns=["variant", "method", "seed", "start_m", "start_deg", "error_m", "right"])
+
+
+def start_runs(folder: Path) -> pd.DataFrame:
+    """The rows of `from_poor_starts` that notebook 04 wrote, as runs of the report's vertical flight without duration
+    or noise, so that claims on them are judged like the others. Raises `InputError`."""
+    with reading(folder / "starts.csv", "registrations from poor starts, which notebook 04 writes"):
+        rows = pd.read_csv(folder / "starts.csv")
+    case = {"sensor": "report", "trajectory": "vertical", "noise": "", "duration_s": 0.0, "blind": ""}
+    return rows.assign(status="ok", **case)

@@ -41,6 +41,7 @@ WORDS = {
     "turned_mean_deg": "mean rotation", "turned_final_deg": "final rotation", "scan_s": "time for a scan",
     "scan_missed": "share of scans after which one was missed", "frame_median_ms": "time for a scan",
     "f1": "F1 score", "recall": "recall", "precision": "precision", "offset_m": "median distance to the true axis",
+    "right": "share of scans that end at their true pose",
 }  # fmt: skip
 """What tables and figures call the metrics."""
 COLUMNS = [

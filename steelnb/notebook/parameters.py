@@ -31,7 +31,8 @@ KINDS: Mapping[str, Any] = {
     "seed": SeedOrReport, "seeds": Count, "cloud_seeds": SeedOrReport, "tower": str, "level": NotNegative,
     "draws": Annotated[int, Field(ge=2, le=10_000)], "views": Count, "slow_views": Count, "condition_views": Count,
     "duration_s": FiniteDuration, "drift_s": FiniteDuration, "cloud_s": FiniteDuration, "range_max_m": Positive,
-    "correspondence_m": Positive, "reach_m": Positive, "step_m": Positive, "noise_m": NotNegative,
+    "correspondence_m": Positive, "reach_m": Positive, "step_m": Positive, "poor_starts": Count,
+    "noise_m": NotNegative,
     "clutter": Annotated[float, Field(ge=0, lt=1)], "kept": Annotated[float, Field(gt=0, le=1)],
     "map_dx_m": Positive, "map_min_votes": Annotated[int, Field(ge=2)],
 }  # fmt: skip

@@ -23,7 +23,7 @@ RUNS = "runs.parquet"
 """The table of a study, in its folder."""
 PACKAGES = ("steelnb", "numpy", "scipy", "pandas", "numba", "open3d", "open3d-cpu", "pybullet", "evo", "matplotlib")
 PICTURES = ("fig_*.png", "structure_*.json")
-TABLES = ("table.csv", "bands.csv", "clouds.csv", "curves.csv", "timing.csv")
+TABLES = ("table.csv", "bands.csv", "clouds.csv", "curves.csv", "starts.csv", "timing.csv")
 RESULTS = ("metrics.json", "provenance.json", *TABLES, *PICTURES)
 """Patterns of the files that a notebook writes. A new run removes those of an earlier one."""
 
@@ -42,10 +42,9 @@ def write_results(
     """Write the results of a notebook into the folder ``results_dir``. If that is empty, only show the figures.
 
     ``table`` becomes table.csv (nine digits), ``metrics`` metrics.json (finite numbers, units in the keys), each figure
-    fig_<name>.png, each table in ``further`` <name>.csv (four digits; ``bands``, ``clouds`` or ``curves``), ``timing``
-    timing.csv with a description of the machine, and ``provenance`` (settings, seeds; no times, hosts or paths)
-    provenance.json, with versions and the hash of the lock. ``files`` maps further names, which start with
-    ``structure_``, to functions
+    fig_<name>.png, each table in ``further`` <name>.csv (four digits; a name of `TABLES`), ``timing`` timing.csv with a
+    description of the machine, and ``provenance`` (settings, seeds; no times, hosts or paths) provenance.json, with
+    versions and the hash of the lock. ``files`` maps further names, which start with ``structure_``, to functions
     that write them. Equal values give equal bytes. Files are written to a temporary folder and then renamed. Raises
     `OutputError`, and ValueError if a metric is not finite."""
     if not str(results_dir):

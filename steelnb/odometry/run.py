@@ -3,6 +3,7 @@
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from typing import Any
 
 import numpy as np
 
@@ -48,7 +49,7 @@ def run(flight: Flight, odometry: Odometry, on_step: OnStep | None = None, befor
             # Checked again, as the odometry may have changed the array since.
             T_world_drone[k] = checked_pose(checked_kind(step, "its result", OdometryStep).T_world_drone, "its pose")
         steps.append(step)
-        reason.append("" if step.used else scan.fault or step.reason)
+        reason.append("" if step.used else scan.fault or step.reason or "not used")
         if on_step:
             on_step(k, scan, step)
     if len(steps) < len(flight):
@@ -57,14 +58,20 @@ def run(flight: Flight, odometry: Odometry, on_step: OnStep | None = None, befor
     return Estimate(
         prior=flight.prior,
         corrected=Trajectory(flight.prior.stamp_s, T_world_drone),
-        points=odometry.map_points() if hasattr(odometry, "map_points") else np.zeros((0, 3)),
-        segments=odometry.map_segments() if hasattr(odometry, "map_segments") else Segments.empty(),
+        points=_map_of(odometry, "map_points", np.zeros((0, 3))),
+        segments=_map_of(odometry, "map_segments", Segments.empty()),
         matches=np.array([s.matches for s in steps], dtype=np.int64),
         reason=tuple(reason),
         seconds={stage: np.array([s.seconds.get(stage, 0.0) for s in steps]) for stage in stages},
         update_s=update_s,
         unobserved=np.array([s.unobserved for s in steps], dtype=np.int64),
     )
+
+
+def _map_of(odometry: Odometry, method: str, default: Any) -> Any:
+    """What a method of the odometry returns, or the default if it has none of this name."""
+    found = getattr(odometry, method, None)
+    return found() if callable(found) else default
 
 
 @contextmanager

@@ -1,6 +1,7 @@
 """A corrected recording and the truth → numbers: scans used, milliseconds, errors, sizes."""
 
 import math
+import re
 from collections import Counter
 from typing import NamedTuple
 
@@ -78,7 +79,7 @@ def evaluate(
     ``on_time_share``: share of updates done before the next scan; ``prior_followed``: scans that leave one or more
     directions undetermined, in which the prior was followed.
     """
-    ms, unused = 1e3 * estimate.update_s, Counter(each.partition(":")[0] for each in estimate.reason if each)
+    ms, unused = 1e3 * estimate.update_s, Counter(re.split(r": | \(", each)[0] for each in estimate.reason if each)
     times = (*np.percentile(ms, [50, 95, 99]).tolist(), float(ms.max()), estimate.on_time_share)
     numbers: dict[str, float] = {
         "frames": len(flight),

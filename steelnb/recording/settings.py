@@ -121,6 +121,8 @@ def parse_mount(text: str | None) -> Array | None:
         return None
     try:
         x, y, z, roll, pitch, yaw = map(float, text.split(","))
+        if not np.isfinite([x, y, z, roll, pitch, yaw]).all():
+            raise ValueError
     except ValueError:
         raise InputError(f"--mount {text}: expected six numbers, such as 0.06,0,0,0,0,0") from None
     return CameraSettings(mount_m=(x, y, z), mount_rpy_deg=(roll, pitch, yaw)).T_drone_sensor

@@ -56,6 +56,7 @@ class Settings(BaseModel):
         changes: dict[str, Any] = {}
         inner: dict[str, dict[str, Any]] = {}
         for path, value in overrides.items():
+            checked_kind(path, "a name in overrides", str)
             name, _, rest = path.partition(".")
             if rest and name in type(self).model_fields and isinstance(getattr(self, name), Settings):
                 inner.setdefault(name, {})[rest] = value

@@ -57,3 +57,17 @@ def test_existing_files_are_kept_unless_overwrite_is_set(tmp_path):
     assert len(read_flight(path)) == 6
     with pytest.raises(InputError, match=r"ending '.txt'; expected .bag or .mcap"):
         write_flight(tmp_path / "a.txt", made_up())
+
+
+@pytest.mark.parametrize("begin_s", [-1.0, 3e9])
+def test_stamps_that_ros_does_not_have_are_refused(tmp_path, begin_s):
+    with pytest.raises(InputError, match=r"stamp .* s: expected 0 to 2147483648 s"):
+        write_flight(tmp_path / "a.bag", made_up(begin_s=begin_s))
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_name_that_is_too_long_is_one_line(tmp_path):
+    with pytest.raises(InputError, match="does not exist"):
+        read_flight(tmp_path / f"{'x' * 300}.bag")
+    with pytest.raises(OutputError, match="cannot be written"):
+        write_flight(tmp_path / f"{'x' * 300}.bag", made_up())

@@ -183,6 +183,32 @@ def test_inertial_samples_of_no_use_are_left_out(tmp_path, what):
     assert imu is None or len(imu.stamp_s) == 0
 
 
+def test_inertial_samples_that_are_left_out_are_counted(tmp_path):
+    bag = Bagged(tmp_path / "a.mcap").clouds().odometry().tf("base_link", "base_link_imu", MOUNT)
+    for stamp_s, force in ((0.1, 9.8), (0.1, 9.8), (0.2, np.nan), (0.3, 9.8)):
+        message = bag.make.imu(ns(stamp_s), np.full(3, force), np.zeros(3))
+        bag.rows.append(("/imu", "sensor_msgs/msg/Imu", stamp_s, message))
+    flight = read_flight(bag.write())
+    assert flight.imu.stamp_s.tolist() == [0.1, 0.3]
+    assert flight.skipped["inertial sample that is not finite"] == 1
+    assert flight.skipped["inertial sample whose stamp does not rise"] == 1
+
+
+def test_a_message_of_a_database_without_a_time_is_left_out(tmp_path):
+    import sqlite3
+
+    path = Bagged(tmp_path / "a.db3").clouds().odometry().write()
+    with sqlite3.connect(path) as database:
+        database.execute("UPDATE messages SET timestamp = 'abc' WHERE id = 3")
+    assert len(read_flight(path)) >= 3
+
+
+@pytest.mark.parametrize("mount", [np.eye(3), "x", 2 * np.eye(4)])
+def test_a_mount_that_is_none_is_refused(tmp_path, mount):
+    with pytest.raises(InputError, match="T_drone_sensor: "):
+        read_flight(Bagged(tmp_path / "a.mcap").clouds().odometry().write(), T_drone_sensor=mount)
+
+
 def test_inertial_samples_are_rotated_to_the_axes_of_the_drone(bag):
     flight = made_up()
     for stamp_s, force, rate in zip(

@@ -65,6 +65,22 @@ def test_stamps_are_read_from_the_names(
     assert flight.facts["scans"] == f"10 files, stamped by their names ({units})"
 
 
+def test_decimals_without_the_zeros_before_them_are_nanoseconds(folder: Path) -> None:
+    for k in range(1, 11):
+        (folder / f"scan{k}.npy").rename(folder / f"{UNIX_S}.{30_000_000 * (k - 1)}.npy")
+    write_tum(folder / "trajectory.tum", poses(10, step_s=0.03, begin_s=UNIX_S))
+    flight = read_flight(folder)
+    np.testing.assert_allclose(flight.prior.stamp_s, UNIX_S + 0.03 * np.arange(10), atol=1e-6)
+    np.testing.assert_array_equal(flight.scans[9].points, POINTS + 10)
+
+
+def test_poses_out_of_order_are_not_given_to_clouds_by_their_number(folder: Path) -> None:
+    rows = (folder / "trajectory.tum").read_text().splitlines()
+    (folder / "trajectory.tum").write_text("\n".join([*rows[3:], *rows[:3]]))
+    with pytest.raises(InputError, match=r"10 poses in trajectory.tum, 1 of them out of order; expected"):
+        read_flight(folder)
+
+
 @pytest.mark.parametrize("name", ["{:03d}", "frame_{:d}_2023", "{:04d}0", "scan_v1.2_{:03d}"])
 def test_numbers_that_count_are_no_stamps(folder: Path, name: str) -> None:
     for k in range(1, 11):

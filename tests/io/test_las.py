@@ -51,6 +51,50 @@ def test_headers_that_contradict_the_file_are_refused(
         read_points(path)
 
 
+@pytest.mark.parametrize(
+    ("at", "form", "value", "message"),
+    [
+        (105, "<H", 27, "points of format 1 and 27 bytes"),
+        (107, "<I", 100, "500 points; expected 100"),
+    ],
+)
+def test_records_that_are_too_short_and_counts_that_are_too_low_are_refused(at, form, value, message, tmp_path) -> None:
+    path = save(tmp_path / "a.las", 1, "1.2")
+    content = bytearray(path.read_bytes())
+    struct.pack_into(form, content, at, value)
+    path.write_bytes(content)
+    with pytest.raises(InputError, match=message):
+        read_points(path)
+
+
+KEYS = {"degrees": (1024, 2), "US survey feet": (3076, 9003), "feet": (3076, 9002), "": (3076, 9001)}
+WKT = {
+    "US survey foot": 'PROJCS["a",GEOGCS["b",UNIT["degree",0.0174532925]],UNIT["US survey foot",0.3048006096]]',
+    "degrees": 'GEOGCS["WGS 84",DATUM["c",SPHEROID["d",6378137,298.257]],UNIT["degree",0.0174532925199433]]',
+    "": 'PROJCS["a",GEOGCS["b",UNIT["degree",0.0174532925199433]],UNIT["metre",1]]',
+}
+
+
+@pytest.mark.parametrize("suffix", ["las", "laz"])
+@pytest.mark.parametrize(
+    ("unit", "number", "content"),
+    [(unit, 34735, struct.pack("<8H", 1, 1, 0, 1, key, 0, 1, value)) for unit, (key, value) in KEYS.items()]
+    + [(unit, 2112, text.encode() + b"\0") for unit, text in WKT.items()],
+)
+def test_coordinates_that_are_no_metres_are_refused(
+    suffix: str, unit: str, number: int, content: bytes, tmp_path: Path
+) -> None:
+    file = laspy.create(point_format=6, file_version="1.4")
+    file.vlrs.append(laspy.VLR("LASF_Projection", number, "", content))
+    file.x, file.y, file.z = POINTS[:9].T
+    file.write(str(tmp_path / f"a.{suffix}"))
+    if not unit:
+        assert len(read_points(tmp_path / f"a.{suffix}")) == 9
+        return
+    with pytest.raises(InputError, match=f"coordinates in {unit}, as its coordinate system says; expected metres"):
+        read_points(tmp_path / f"a.{suffix}")
+
+
 @pytest.mark.parametrize("more", range(0, 40, 4))
 def test_sizes_of_compressed_layers_are_checked(more: int, tmp_path: Path) -> None:
     """lazrs allocates what they say, and ends the process if it cannot."""

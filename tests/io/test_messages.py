@@ -72,7 +72,8 @@ def test_a_cloud_with_one_sensible_reading_is_read_so_and_it_is_noted(changed, n
     "changed",
     [
         {"width": 6}, {"height": 8}, {"point_step": 16}, {"width": 2**32 - 1, "height": 2**32 - 1},
-        {"height": 0, "width": 0}, {"row_step": 0, "pad": 4}, {"row_step": 60, "pad": 4},
+        {"height": 0, "width": 0}, {"row_step": 0, "pad": 4}, {"row_step": 60, "pad": 4}, {"row_step": 60, "pad": 60},
+        {"row_step": 60, "pad": 20}, {"height": 1, "width": 20, "row_step": 240, "pad": 20},
     ],
 )  # fmt: skip
 def test_a_cloud_with_no_sensible_reading_is_a_fault(changed):
@@ -80,9 +81,22 @@ def test_a_cloud_with_no_sensible_reading_is_a_fault(changed):
         cloud_points(cloud(**changed))
 
 
+@pytest.mark.parametrize(("kind", "encoding", "step"), [("<u2", "16UC1", 120), ("<f4", "16UC1", 160)])
+def test_an_image_whose_rows_are_longer_than_stated_is_a_fault(kind, encoding, step):
+    image, _ = depth(kind, encoding, step=step, width=step // 2)
+    with pytest.raises(InputError, match=f"expected .*{step}|expected 2, as stated"):
+        depth_points(image, CAMERA)
+
+
+def test_a_camera_whose_centre_is_outside_its_image_is_a_fault():
+    wide = CameraInfo(K * np.array([[8], [8], [1]]), 80, 60, (1, 1), (0, 0, 0, 0))
+    with pytest.raises(InputError, match=r"principal point \(320, 240\); expected one in its 80 × 60 pixels"):
+        depth_points(depth()[0], wide)
+
+
 def test_fields_are_checked():
     for change, words in {
-        "datatype": "fields x, y, z; expected x, y and z of a numeric type",
+        "datatype": "fields x, y, z with datatype 9; expected x, y and z of a numeric type",
         "offset": "fields x, y, z at bytes 5, 4, 8 overlap",
     }.items():
         message = cloud()

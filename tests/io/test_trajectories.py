@@ -78,6 +78,18 @@ def test_poses_of_kitti_take_their_stamps_from_the_file_beside(tmp_path: Path) -
     np.savetxt(tmp_path / "times.txt", [0, 0.1])
     with pytest.raises(InputError, match=r"3 poses, 2 stamps in times.txt"):
         read_trajectory(tmp_path / "00.txt")
+    np.savetxt(tmp_path / "times.txt", [[0, 5.0], [1, 5.1], [2, 5.2]])
+    with pytest.raises(InputError, match=r"times.txt beside it has 2 numbers a line; expected one, the stamp"):
+        read_trajectory(tmp_path / "00.txt")
+
+
+@pytest.mark.parametrize("names", ["format: stamp x y z qw qx qy qz", "t | x | y | z | qw | qx | qy | qz |"])
+def test_an_order_of_columns_that_a_comment_tells_is_used(names: str, tmp_path: Path) -> None:
+    x, y, z, w = TURN.as_quat()
+    (tmp_path / "a.txt").write_text(f"# {names}\n0 1 2 3 {w} {x} {y} {z}\n1 1 2 3 {w} {x} {y} {z}\n")
+    np.testing.assert_allclose(
+        read_trajectory(tmp_path / "a.txt").T_world_drone[0, :3, :3], TURN.as_matrix(), atol=1e-9
+    )
 
 
 @pytest.mark.parametrize(
@@ -93,6 +105,9 @@ def test_poses_of_kitti_take_their_stamps_from_the_file_beside(tmp_path: Path) -
         ("0 1 2 3 0 0 0 1\n1 1 2 3 0 0\n", "line 2 has 6 fields"),
         ("2 " * 12 + "\n", "without stamps"),
         ("0 1e30 2 3 0 0 0 1\n", "1 poses, none valid"),
+        ("0 1 2 3 0.1 -0.2 1.5 0.9\n1 1 2 3 0.1 0 -1.4 0.9\n", "quaternions of length 1.7.*; expected qx, qy, qz, qw"),
+        ("0 1 2 3 30 0 90 1\n1 1 2 3 30 0 91 1\n", "2 poses, none valid; expected .* unit quaternions"),
+        ("5000 1 2 3 0 0 0 1\n5100 1 2 3 0 0 0 1\n5200 1 2 3 0 0 0 1\n", "stamps 100 s apart; expected seconds"),
     ],
 )
 def test_unclear_trajectories_are_refused(content: str, message: str, tmp_path: Path) -> None:
