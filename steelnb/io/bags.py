@@ -20,7 +20,7 @@ from steelnb.io.opened import Opened
 from steelnb.io.scanning import Raw
 from steelnb.io.topics import PoseSource, camera_topic, pose_source, scan_topic
 from steelnb.io.trajectories import read_trajectory, trajectory_of
-from steelnb.io.transforms import Tree, is_world_name
+from steelnb.io.transforms import Tree, check_order, is_world_name
 
 
 class Clock(NamedTuple):
@@ -54,6 +54,9 @@ class _Bag:
         self.headers.read(topic, *source.topics, *source.tf, *imus, *(self.bag.of_type(ros.CAMERA) if is_depth else ()))
         camera, tree = self._camera(topic) if is_depth else None, self.headers.tree()
         stamp_s = self.headers.scan_stamps(topic) + self.clock.offset_s
+        for frame, text in self.headers.unstamped.items():
+            if any(each == frame or tree.between(frame, each) for each in set(self.headers.scan_frames)):
+                raise InputError(f"{self.bag.path}: {text}; expected theirs (--clock bag takes those of recording)")
         used = [name for name, stamp in zip(self.headers.scan_frames, stamp_s.tolist(), strict=True) if stamp == stamp]
         try:
             prior, world, body, said = self._poses(source, tree, tree.resolve(Counter(used).most_common(1)[0][0]))
@@ -76,7 +79,7 @@ class _Bag:
         world, body, topic = "", "", source.topics[0] if source.topics else ""
         if source.uses_tf:
             try:
-                world, body = map(tree.resolve, source.pair or tree.drone(sensor))
+                world, body = map(tree.resolve, source.pair or check_order(*tree.drone(sensor)))
                 return _turned(tree.poses(world, body), body), world, body, f"tf {world} → {body}"
             except InputError:
                 if not topic:
@@ -86,7 +89,7 @@ class _Bag:
         elif self.bag.types[topic] == ros.PATH:
             found, world, said = self._path(topic)
         elif topic in self.headers.frame_of:
-            (world, body), said = self.headers.frame_of[topic], topic
+            (world, body), said = check_order(*self.headers.frame_of[topic]), topic
             found = trajectory_of(self.bag.path, self.headers.rows(topic, 7, "pose"), self.headers.skipped)
         else:
             raise self.headers.faults[topic]

@@ -14,7 +14,7 @@ from steelnb.io.containers import Container
 from steelnb.io.layouts import cloud_layout, depth_layout
 from steelnb.io.scanning import Raw
 from steelnb.io.trajectories import trajectory_of
-from steelnb.io.transforms import Tree
+from steelnb.io.transforms import STILL, Tree
 
 
 class Headers:
@@ -22,7 +22,8 @@ class Headers:
 
     ``frame_of``: frame and child frame of each topic; ``scan_frames``: frame of each scan; ``shape``: rows and columns
     of the first; ``cameras`` of topics; ``longest``: the longest Path; ``notes`` on what contradicted itself;
-    ``faults``: of each topic the first message that cannot be decoded; ``skipped``: counts of what is left out.
+    ``faults``: of each topic the first message that cannot be decoded; ``skipped``: counts of what is left out;
+    ``unstamped``: frames on moving transforms without stamps, and a text on each.
     """
 
     def __init__(self, bag: Container, by_log: bool) -> None:
@@ -36,6 +37,7 @@ class Headers:
         self.notes: dict[str, None] = {}
         self.faults: dict[str, InputError] = {}
         self.skipped = Counter[str]()
+        self.unstamped: dict[str, str] = {}
 
     def read(self, scans: str, *others: str) -> None:
         """Store the values of small messages, and stamps and frames of the scans. Raises `InputError`."""
@@ -116,6 +118,9 @@ class Headers:
         for key in [key for key in self._table if isinstance(key, tuple)]:
             parent, child, is_static = key
             rows = self.rows(key, 7, "transform")
+            if not is_static and len(rows) > 1 and not np.ptp(rows[:, 0]) and np.ptp(rows[:, 1:], axis=0).max() > STILL:
+                self.unstamped[child] = f"transforms {parent} → {child} move, but all have the stamp {rows[0, 0]:g} s"
+                continue
             if is_static:  # its stamp does not matter, and the last one holds
                 rows = np.array(self._table[key]).reshape(-1, 9)[-1:, [0, *range(2, 9)]]
             try:

@@ -179,6 +179,16 @@ def _last(frame: str) -> str:
     return frame.rpartition("/")[2]
 
 
+def check_order(world: str, body: str) -> tuple[str, str]:
+    """Both names; raises `InputError` if the world has the usual name of a drone, and the drone that of a world."""
+    if _last(world) in BODIES and is_world_name(body):
+        raise InputError(
+            f"poses of {body!r} in {world!r}: expected those of the drone in the world, as from tf by "
+            f"--poses '{body}>{world}'"
+        )
+    return world, body
+
+
 def is_world_name(frame: str) -> bool:
     """Whether a frame has the usual name of one in which poses are."""
     return _rank(_last(frame)) < len(WORLDS)

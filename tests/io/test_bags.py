@@ -183,6 +183,29 @@ def test_inertial_samples_of_no_use_are_left_out(tmp_path, what):
     assert imu is None or len(imu.stamp_s) == 0
 
 
+@pytest.mark.parametrize("by_tf", [True, False])
+def test_poses_of_the_world_in_the_drone_are_refused(tmp_path, by_tf):
+    bag = Bagged(tmp_path / "a.mcap").clouds().tf("base_link", "tof", MOUNT)
+    for stamp, T in zip(STAMPS, poses(5).T_world_drone, strict=True):
+        if by_tf:
+            bag.tf("base_link", "odom", np.linalg.inv(T), float(stamp), "/tf")
+    path = (bag if by_tf else bag.odometry(child="odom", frame="base_link")).write()
+    with pytest.raises(InputError, match=r"poses of 'odom' in 'base_link': expected .* --poses 'odom>base_link'"):
+        read_flight(path)
+    if by_tf:
+        read = read_flight(path, poses="odom>base_link")
+        np.testing.assert_allclose(read.prior.T_world_drone, poses(5).T_world_drone, atol=1e-9)
+
+
+@pytest.mark.parametrize("child", ["tof", "gimbal"])
+def test_a_gimbal_without_stamps_is_refused(tmp_path, child):
+    bag = Bagged(tmp_path / "a.mcap").clouds().odometry().tf("gimbal", "tof", MOUNT)
+    for k in range(5):
+        bag.tf("base_link", child, T_of((0, 0, 0.1 * k)), 0.0, "/tf")
+    with pytest.raises(InputError, match=f"base_link → {child} move, but all have the stamp 0 s; .*--clock bag"):
+        read_flight(bag.write())
+
+
 def test_inertial_samples_that_are_left_out_are_counted(tmp_path):
     bag = Bagged(tmp_path / "a.mcap").clouds().odometry().tf("base_link", "base_link_imu", MOUNT)
     for stamp_s, force in ((0.1, 9.8), (0.1, 9.8), (0.2, np.nan), (0.3, 9.8)):
