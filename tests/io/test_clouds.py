@@ -135,6 +135,10 @@ def test_texts_of_many_programs_give_the_same_points(content: str, encoding: str
         ("lat,lon,alt\n48,11,500\n", "columns lat, lon, alt; expected x, y and z"),
         ("x,x,y,z\n1,2,3,4\n", "columns x and x"),
         ("x y z\n1 2 3 4\n", "3 names of columns, but 4 fields in line 2"),
+        (
+            "".join(f"{k} 1.5 2.5 3.5\n" for k in range(12)),
+            "first column counts the lines; expected x, y and z",
+        ),
         ("a b c\n", "no line of numbers"),
         ("", "no line of numbers"),
         ("1e30 0 1\n0 2e30 0\n1 2 3\n", "2 points farther than 1e.08 m"),
@@ -158,7 +162,8 @@ def test_missing_numbers_and_numbers_that_are_no_coordinates_are_no_returns(tmp_
     [
         ((3, 100), (100, 3)), ((4, 100), (100, 3)), ((100, 6), (100, 3)), ((3, 20, 30), (20, 30, 3)), ((4, 3), (4, 3)),
         ((1, 50, 4), (1, 50, 3)), ((3, 3), None), ((3, 4), None), ((4, 16), None), ((100, 64), None), ((20, 30), None),
-        ((2, 100), None), ((0, 3), None), ((7,), None), ((2, 2, 2, 3), None),
+        ((3, 10, 10), None), ((3, 10, 3), (3, 10, 3)), ((2, 100), None), ((0, 3), None), ((7,), None),
+        ((2, 2, 2, 3), None),
     ],
 )  # fmt: skip
 def test_arrays_are_read_if_their_shape_is_clear(
@@ -180,6 +185,7 @@ def test_arrays_with_names_are_read_and_other_types_refused(tmp_path: Path) -> N
     np.testing.assert_array_equal(read_points(tmp_path / "a.npy"), [[1, 2, 3], [4, 5, 6]])
     for other in (
         named[["x", "y"]],
+        np.zeros(4, dtype=[("x", "f4", 2), ("y", "f4", 2), ("z", "f4", 2)]),
         POINTS + 1j,
         POINTS > 0,
         POINTS.astype(str),
