@@ -2,18 +2,23 @@
 
 import copy
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
+import seaborn as sns
 
 from steelnb.core.errors import InputError
 from steelnb.core.files import reading
 from steelnb.core.geometry import exp_about, transform_points
 from steelnb.core.rng import stream
 from steelnb.core.types import Array, Flight
+from steelnb.experiment import Result
+from steelnb.metrics import WRONG_M, WRONG_SHARE, largest_slip, position_error_m
+from steelnb.notebook.tables import table
 from steelnb.odometry import CloudOdometry
+from steelnb.plots import BLACK, COLOURS, Figure, gather_legend
 from steelnb.points import VoxelMap, preprocess_scan
 from steelnb.points.covariances import neighbour_covariances, regularised
 from steelnb.registration import FREE, AlignOptions, align, make_target
@@ -121,6 +126,34 @@ def from_poor_starts(
         if on_progress:
             on_progress(done / count)
     return pd.DataFrame(rows, columns=["variant", "method", "seed", "start_m", "start_deg", "error_m", "right"])
+
+
+def figure_starts(starts: pd.DataFrame) -> Figure:
+    """The errors of `from_poor_starts` over those of their starts, one panel a variant; below the dashed line, at
+    `RIGHT_M`, a scan has found its true place."""
+    look = {"hue": "method", "palette": COLOURS, "height": 3.6}
+    grid = sns.relplot(starts, x="start_m", y="error_m", col="variant", **look)
+    grid.set(yscale="log", xlabel="start off (m)", ylabel="error at the end (m)").set_titles("{col_name}")
+    grid.refline(y=RIGHT_M, color=BLACK)
+    gather_legend(grid.figure, ncols=2)
+    return grid.figure
+
+
+def slip_table(cases: Sequence[ExperimentSettings], results: Sequence[Result]) -> pd.DataFrame:
+    """One row per flight: its case, errors, correspondence distance and time without sight, the share of its registered
+    scans more than `WRONG_M` off, its `largest_slip` with its time, and whether it went wrong (`WRONG_SHARE`)."""
+    rows = table(results)[["trajectory", "noise", "method", "sensor", "seed", "ate_rmse_m", "error_final_m"]]
+    errors = [position_error_m(each.corrected, each.truth.trajectory) for each in results]
+    slips = [largest_slip(error_m, round(case.tof.rate_hz)) for case, error_m in zip(cases, errors, strict=True)]
+    rows["max_correspondence_m"] = [
+        getattr(case.odometry, "max_correspondence_m", 0.1) for case in cases
+    ]  # the report's
+    rows["blind_s"] = [sum(last - first for first, last in case.tof.blind_s) for case in cases]
+    rows["wrong_share"] = [(e[each.matches > 0] > WRONG_M).mean() for each, e in zip(results, errors, strict=True)]
+    rows["slip_m"] = [slip_m for _, slip_m in slips]
+    rows["slip_s"] = [each.corrected.stamp_s[k] for each, (k, _) in zip(results, slips, strict=True)]
+    rows["wrong"] = rows["wrong_share"] > WRONG_SHARE
+    return rows
 
 
 def start_runs(folder: Path) -> pd.DataFrame:
