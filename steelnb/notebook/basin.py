@@ -145,9 +145,8 @@ def slip_table(cases: Sequence[ExperimentSettings], results: Sequence[Result]) -
     rows = table(results)[["trajectory", "noise", "method", "sensor", "seed", "ate_rmse_m", "error_final_m"]]
     errors = [position_error_m(each.corrected, each.truth.trajectory) for each in results]
     slips = [largest_slip(error_m, round(case.tof.rate_hz)) for case, error_m in zip(cases, errors, strict=True)]
-    rows["max_correspondence_m"] = [
-        getattr(case.odometry, "max_correspondence_m", 0.1) for case in cases
-    ]  # the report's
+    # The report's program has 0.1 m.
+    rows["max_correspondence_m"] = [getattr(case.odometry, "max_correspondence_m", 0.1) for case in cases]
     rows["blind_s"] = [sum(last - first for first, last in case.tof.blind_s) for case in cases]
     rows["wrong_share"] = [(e[each.matches > 0] > WRONG_M).mean() for each, e in zip(results, errors, strict=True)]
     rows["slip_m"] = [slip_m for _, slip_m in slips]
