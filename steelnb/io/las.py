@@ -21,8 +21,11 @@ BLOCK = 1 << 20
 LASZIP, VARIABLE, CHUNKED, LAYERED = (b"laszip encoded", 22204), 0xFFFFFFFF, 2, 3
 """Identification of LASzip's record in a header, its chunk size if chunks differ in size, and its compressors."""
 SIZES = {6: 20, 7: 8, 8: 6, 9: 29, 10: 30, 11: 6, 12: 8, 13: 29}
-FEET = {9002: "feet", 9003: "US survey feet"}
-"""Units of GeoTIFF's key 3076 that are not the metre."""
+FEET, UNIT_KEYS = {9002: "feet", 9003: "US survey feet"}, (3076, 4099)
+"""Units that are not the metre, and GeoTIFF's keys of the horizontal and the vertical one."""
+LENGTH = re.compile(r'(?<!ANGLE)(?<!SCALE)UNIT\["([^"]+)", *([0-9.eE+-]+)')
+ANGLE = re.compile("deg|rad|grad|gon", re.IGNORECASE)
+"""Units in a well-known text, and the names of those that are no lengths."""
 LAYERS = {10: 9, 11: 1, 12: 2, 13: 1}
 """Size in bytes, and number of layers, of each type of item; extra bytes have any size, and a layer each."""
 
@@ -74,13 +77,13 @@ def _check_metres(file: bytes, at: int, end: int, count: int) -> None:
         if author == b"LASF_Projection" and number == 34735:
             entries = struct.iter_unpack("<4H", content[8 : 8 + (max(len(content), 8) - 8) // 8 * 8])
             keys = {key: value for key, place, _, value in entries if not place}
-            unit = "degrees" if keys.get(1024) == 2 else FEET.get(keys.get(3076, 9001), "")
+            feet = [FEET[keys[key]] for key in UNIT_KEYS if keys.get(key) in FEET]
+            unit = "degrees" if keys.get(1024) == 2 else "".join(feet[:1])
         elif author == b"LASF_Projection" and number == 2112:
             text = content.decode("utf-8", "replace")
-            named = re.findall(r'(?:LENGTH)?UNIT\["([^"]+)", *([0-9.eE+-]+)', text)
-            is_projected = "PROJC" in text
-            unit = next((name for name, size in named[-1:] if is_projected and abs(float(size) - 1) > 1e-9), "")
-            unit = "degrees" if not is_projected and text.startswith("GEOG") else unit
+            lengths = [(name, float(size)) for name, size in LENGTH.findall(text) if not ANGLE.match(name)]
+            unit = next((name for name, size in lengths if abs(size - 1) > 1e-9), "")
+            unit = "degrees" if "GEOG" in text and "PROJC" not in text else unit
         if unit:
             raise ValueError(f"coordinates in {unit}, as its coordinate system says; expected metres")
 

@@ -71,7 +71,8 @@ KEYS = {"degrees": (1024, 2), "US survey feet": (3076, 9003), "feet": (3076, 900
 WKT = {
     "US survey foot": 'PROJCS["a",GEOGCS["b",UNIT["degree",0.0174532925]],UNIT["US survey foot",0.3048006096]]',
     "degrees": 'GEOGCS["WGS 84",DATUM["c",SPHEROID["d",6378137,298.257]],UNIT["degree",0.0174532925199433]]',
-    "": 'PROJCS["a",GEOGCS["b",UNIT["degree",0.0174532925199433]],UNIT["metre",1]]',
+    "": 'PROJCS["a",GEOGCS["b",UNIT["degree",0.0174532925]],UNIT["metre",1]]',
+    "foot": 'COMPD_CS["a",PROJCS["b",GEOGCS["c",UNIT["degree",0.017]],UNIT["foot",0.3048]],VERT_CS["d",UNIT["m",1]]]',
 }
 
 
