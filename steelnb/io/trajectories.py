@@ -175,7 +175,8 @@ def trajectory_of(path: Path | str, rows: Array, skipped: Counter[str]) -> Traje
     if (np.abs(length[chosen] - 1) > QUATERNION_TOLERANCE).mean() > 0.5:
         typical = float(np.median(length[chosen]))
         raise InputError(f"{path}: quaternions of length {typical:.3g}; expected {', '.join(QUATERNION)} of length 1")
-    T = pose_matrices(rows[chosen, 1:])
+    largest = np.abs(rows[chosen, 4:]).max(axis=1, keepdims=True)
+    T = pose_matrices(np.column_stack([rows[chosen, 1:4], rows[chosen, 4:] / largest]))
     return Trajectory(rows[chosen, 0], T)
 
 
