@@ -92,8 +92,8 @@ def split_bends(points: Array, bars: Segments, tube_m: float = TUBE_M, share_max
     The tube of a straight bar also holds a bar that bends by a few degrees, and its axis is then wrong by centimetres.
     A bar is split if two lines that meet at the angle of a bend explain its points clearly better than one line, and if
     the shorter one rises across the other by more than `TUBE_M`. Below that, `merge_pieces` would join them again.
-    Points count within ``tube_m`` of an axis, and the share of the squared distances that remains is at most
-    ``share_max``.
+    The points of a bar lie within ``tube_m`` of its axis, and two lines must leave at most ``share_max`` of the sum of
+    their squared distances.
     """
     label, is_straight, bends = nearest_bar(points, bars, tube_m, 0.0), np.ones(len(bars), dtype=bool), []
     for b in np.flatnonzero(bars.length > 2 * TUBE_M / math.tan(math.acos(BEND_MAX))):

@@ -56,7 +56,7 @@ class _Bag:
         stamp_s = self.headers.scan_stamps(topic) + self.clock.offset_s
         for frame, text in self.headers.unstamped.items():
             if any(each == frame or tree.between(frame, each) for each in set(self.headers.scan_frames)):
-                raise InputError(f"{self.bag.path}: {text}; expected theirs (--clock bag takes those of recording)")
+                raise InputError(f"{self.bag.path}: {text}; expected the time of each (--clock bag: of recording)")
         used = [name for name, stamp in zip(self.headers.scan_frames, stamp_s.tolist(), strict=True) if stamp == stamp]
         try:
             prior, world, body, said = self._poses(source, tree, tree.resolve(Counter(used).most_common(1)[0][0]))

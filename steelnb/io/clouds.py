@@ -27,7 +27,7 @@ EXTENT_MAX_M, SPACING_MAX_M = 500.0, 1.0
 COORDINATE_MAX_M = 1e8
 """No coordinate is larger: the earth is 4e7 m around. Drivers write such numbers for no return."""
 LINES_COUNTED = 10
-"""So many whole numbers in sequence, one a line, are no coordinates."""
+"""Minimum number of lines that a first column of consecutive whole numbers counts."""
 CHANNELS_MAX = 16
 """An array (3, N) has more columns than this, an array (N, 3 or more) at most as many."""
 AXIS = ("(?:pos|position|point|coord|coordinate|p|points_m_xyz|cartesian)_?{}", "{}_?(?:coord|coordinate|pos)")
@@ -119,11 +119,10 @@ def _read_npy(path: Path) -> Any:
         if any(stored.dtype[axis].shape for axis in "xyz"):
             raise ValueError(f"x, y and z of type {stored.dtype['x']}; expected a number each")
         return np.stack([stored[axis].astype(np.float64) for axis in "xyz"], axis=-1)
-    if stored.ndim in (2, 3) and stored.shape[0] in (3, 4) and stored.shape[-1] > CHANNELS_MAX:
+    may_be_axes = stored.ndim in (2, 3) and len(stored) in (3, 4)
+    if may_be_axes and stored.shape[-1] > CHANNELS_MAX:
         stored = np.moveaxis(stored, 0, -1)  # one row an axis
-    elif (stored.ndim == 2 and len(stored) in (3, 4) and stored.shape != (4, 3)) or (
-        stored.ndim == 3 and len(stored) in (3, 4) and stored.shape[-1] > 4
-    ):
+    elif may_be_axes and (stored.shape != (4, 3) if stored.ndim == 2 else stored.shape[-1] > 4):
         raise ValueError(f"an array of shape {stored.shape}: its rows may be points or axes; expected (N, 3)")
     if stored.ndim not in (2, 3) or not 3 <= stored.shape[-1] <= CHANNELS_MAX:
         raise ValueError(f"an array of shape {stored.shape}; expected (N, 3) or (H, W, 3)")
@@ -139,17 +138,19 @@ def _read_text(path: Path) -> Any:
     """x, y and z, or east, north and height, by the names of the columns; without names the first three."""
     table = read_table(path)
     number = [table.find(axis, *(form.format(axis) for form in AXIS), other) for axis, other in OTHER_AXES.items()]
-    if None in number:
+    is_unnamed = None in number
+    if is_unnamed:
         if table.has_header or any(each is not None for each in number):
             raise ValueError(f"columns {', '.join(table.names)[:80]}; expected x, y and z")
         number = [0, 1, 2]
         if table.columns < 3:
             raise ValueError(f"{table.columns} numbers in line {table.first}; expected x, y and z")
-        if table.columns > 3 and _counts(table.values([0])[:, 0]):
-            raise ValueError("its first column counts the lines; expected x, y and z first, or a line of names")
     elif other := {table.units[k] for k in number if k is not None} - {"", "m"}:
         raise ValueError(f"x, y and z in {', '.join(sorted(other))}; expected metres")
-    return table.values([k for k in number if k is not None])
+    points = table.values([k for k in number if k is not None])
+    if is_unnamed and table.columns > 3 and _counts(points[:, 0]):
+        raise ValueError("its first column counts the lines; expected x, y and z first, or a line of names")
+    return points
 
 
 READERS: Mapping[str, Callable[[Path], Any]] = {

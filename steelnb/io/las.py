@@ -21,13 +21,13 @@ BLOCK = 1 << 20
 LASZIP, VARIABLE, CHUNKED, LAYERED = (b"laszip encoded", 22204), 0xFFFFFFFF, 2, 3
 """Identification of LASzip's record in a header, its chunk size if chunks differ in size, and its compressors."""
 SIZES = {6: 20, 7: 8, 8: 6, 9: 29, 10: 30, 11: 6, 12: 8, 13: 29}
+LAYERS = {10: 9, 11: 1, 12: 2, 13: 1}
+"""Size in bytes, and number of layers, of each type of item; extra bytes have any size, and a layer each."""
 FEET, UNIT_KEYS = {9002: "feet", 9003: "US survey feet"}, (3076, 4099)
 """Units that are not the metre, and GeoTIFF's keys of the horizontal and the vertical one."""
 LENGTH = re.compile(r'(?<!ANGLE)(?<!SCALE)UNIT\["([^"]+)", *([0-9.eE+-]+)')
 ANGLE = re.compile("deg|rad|grad|gon", re.IGNORECASE)
 """Units in a well-known text, and the names of those that are no lengths."""
-LAYERS = {10: 9, 11: 1, 12: 2, 13: 1}
-"""Size in bytes, and number of layers, of each type of item; extra bytes have any size, and a layer each."""
 
 
 def read_las(path: Path) -> Array:

@@ -25,7 +25,7 @@ UNIX_S, STEP_MAX_S = (9e8, 4.3e9), 60.0
 ROTATION_TOLERANCE, QUATERNION_TOLERANCE, LENGTHS = 1e-2, 0.05, (0.5, 2.0)
 """Maximum errors of rotation matrices and of the length of most quaternions, beyond which the numbers are something
 else; and bounds of the length of a single quaternion, which is normalised."""
-OUT_OF_ORDER = "pose whose stamp falls below the one before, which is sorted"
+OUT_OF_ORDER = "pose out of order, sorted by its stamp"
 STAMPS = ("(?:.*_)?header_stamp", "(?:time_?)?stamp", "(?:.*_)?(?:time|stamp|timestamp)|t|")
 """Patterns of the names of stamps, the preferred first; "" stands for names that are units, such as sec and nsec."""
 TUM = ("stamp", "x", "y", "z", "qx", "qy", "qz", "qw")
@@ -175,7 +175,7 @@ def trajectory_of(path: Path | str, rows: Array, skipped: Counter[str]) -> Traje
     if (np.abs(length[chosen] - 1) > QUATERNION_TOLERANCE).mean() > 0.5:
         typical = float(np.median(length[chosen]))
         raise InputError(f"{path}: quaternions of length {typical:.3g}; expected {', '.join(QUATERNION)} of length 1")
-    largest = np.abs(rows[chosen, 4:]).max(axis=1, keepdims=True)
+    largest = np.abs(rows[chosen, 4:]).max(axis=1, keepdims=True)  # results have the rounding of this division
     T = pose_matrices(np.column_stack([rows[chosen, 1:4], rows[chosen, 4:] / largest]))
     return Trajectory(rows[chosen, 0], T)
 

@@ -19,9 +19,10 @@ from steelnb.metrics import WRONG_M, WRONG_SHARE, largest_slip, position_error_m
 from steelnb.notebook.tables import table
 from steelnb.odometry import CloudOdometry
 from steelnb.plots import BLACK, COLOURS, Figure, gather_legend
-from steelnb.points import VoxelMap, preprocess_scan
+from steelnb.points import preprocess_scan
 from steelnb.points.covariances import neighbour_covariances, regularised
 from steelnb.registration import FREE, AlignOptions, align, make_target
+from steelnb.registration.icp import ERROR_OF
 from steelnb.settings import ExperimentSettings
 from steelnb.simulation import Truth
 
@@ -55,12 +56,8 @@ def find_basin(
     result has either ``stayed`` within `RIGHT_M` of its start, since the registration trusts its prior, or ``locked``
     onto something else. Raises `InputError` for an odometry without clouds.
     """
-    odometry = CloudOdometry(settings.odometry, flight.T_drone_sensor)
     true = truth.trajectory.at(flight.prior.stamp_s).T_world_drone
-    for k in range(0, len(flight.scans), MAP_EVERY):
-        if k != frame:
-            points = preprocess_scan(flight.scans[k], true[k], flight.T_drone_sensor, settings.odometry.preprocess)
-            odometry.insert(points, true[k])
+    odometry = _mapped(settings, flight, true, without=frame)
     ends, used = [], []
     for k, offset in enumerate(offset_m):
         start = true[frame].copy()
@@ -95,21 +92,17 @@ def from_poor_starts(
     is at most `RIGHT_M`, else 0. Raises `InputError` if fewer scans have `POINTS_MIN` points, and for an odometry
     without clouds.
     """
-    clouds = CloudOdometry(settings.odometry, flight.T_drone_sensor).settings  # raises for other families
     true = truth.trajectory.at(flight.prior.stamp_s).T_world_drone
-
-    def placed(k: int) -> Array:
-        points = preprocess_scan(flight.scans[k], true[k], flight.T_drone_sensor, clouds.preprocess)
-        return transform_points(true[k], points)
-
-    voxels, random, rows = VoxelMap(clouds.map_voxel_m), stream(settings.seed, "poor starts"), []
-    for k in range(0, len(flight.scans), MAP_EVERY):
-        voxels.insert(placed(k))
-    between = {k: placed(k) for k in range(MAP_EVERY // 2, len(flight.scans), MAP_EVERY)}
+    random, rows = stream(settings.seed, "poor starts"), []
+    points_there = _mapped(settings, flight, true).map_points()
+    between = {
+        k: transform_points(true[k], _preprocessed(settings, flight, true, k))
+        for k in range(MAP_EVERY // 2, len(flight.scans), MAP_EVERY)
+    }
     usable = [k for k, points in between.items() if len(points) >= POINTS_MIN]
     if not 0 < count <= len(usable):
         raise InputError(f"{count} poor starts: expected 1 to {len(usable)}, the scans that see enough")
-    aims = {method: make_target(voxels.means(), error) for method, error in (("icp", "point"), ("gicp", "gicp"))}
+    aims = {method: make_target(points_there, ERROR_OF[method]) for method in ("icp", "gicp")}
     for done, k in enumerate(np.linspace(0, len(usable) - 1, count).round().astype(int).tolist(), 1):
         scan = usable[k]
         points, axis = between[scan], random.normal(size=(2, 3))
@@ -119,13 +112,26 @@ def from_poor_starts(
         T_start = exp_about(middle, np.concatenate([turn_rad * axis[0], start_m * axis[1]]))
         covariance = regularised(neighbour_covariances(points))
         for variant, method, limit_m in POOR_CASES:
-            options = AlignOptions("gicp" if method == "gicp" else "point", FREE["se3"], limit_m)
-            T = align(points, aims[method], T_start, options, covariance if method == "gicp" else None).T_target_source
+            options = AlignOptions(ERROR_OF[method], FREE["se3"], limit_m)
+            T = align(points, aims[method], T_start, options, covariance).T_target_source
             error_m = float(np.linalg.norm(transform_points(T, middle[None])[0] - middle))
             rows.append((variant, method, scan, start_m, math.degrees(turn_rad), error_m, int(error_m <= RIGHT_M)))
         if on_progress:
             on_progress(done / count)
     return pd.DataFrame(rows, columns=["variant", "method", "seed", "start_m", "start_deg", "error_m", "right"])
+
+
+def _mapped(settings: ExperimentSettings, flight: Flight, true: Array, without: int = -1) -> CloudOdometry:
+    """An odometry whose map holds every `MAP_EVERY`-th scan at its true pose."""
+    odometry = CloudOdometry(settings.odometry, flight.T_drone_sensor)
+    for k in range(0, len(flight.scans), MAP_EVERY):
+        if k != without:
+            odometry.insert(_preprocessed(settings, flight, true, k), true[k])
+    return odometry
+
+
+def _preprocessed(settings: ExperimentSettings, flight: Flight, true: Array, k: int) -> Array:
+    return preprocess_scan(flight.scans[k], true[k], flight.T_drone_sensor, settings.odometry.preprocess)
 
 
 def figure_starts(starts: pd.DataFrame) -> Figure:

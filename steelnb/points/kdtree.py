@@ -10,6 +10,7 @@ from steelnb.core.types import Array, IntArray
 LEAF_POINTS = 10
 """Largest number of points in a leaf."""
 LEAF, UNSPLIT = -1, -2
+"""Values of ``axis`` of nodes without children."""
 
 
 class KdTree(NamedTuple):
@@ -33,8 +34,9 @@ class KdTree(NamedTuple):
 def build_kdtree(points: Array, lazy: bool = False) -> KdTree:
     """Tree over finite points ``(N, 3)``, split at the median of the longest side down to `LEAF_POINTS` points.
 
-    A ``lazy`` tree is only a root. Searches split what they come to (`nearest_k`) and find the same, sooner if they
-    look at a part of the cloud. Points that no search has found have no final place yet."""
+    A ``lazy`` tree begins as one unsplit node. Searches split the nodes that they reach (`nearest_k`). They find the
+    same points, in less time if they cover part of the cloud. The index of a point is final once a search has found it.
+    """
     tree: KdTree = _build(np.ascontiguousarray(points, dtype=np.float64), lazy)
     return tree
 

@@ -150,5 +150,5 @@ def _check_length(name: str, value: float | None, cloud: Cloud) -> None:
     diagonal = float(np.linalg.norm(np.ptp(cloud.points, axis=0)))
     # The voxels of a finer grid could not be numbered.
     if value is not None and not 1e-9 * diagonal <= value <= diagonal:
-        bounds = f"{1e-9 * diagonal:.1g} to {diagonal:.3g} m, the size of the cloud"
+        bounds = f"from {1e-9 * diagonal:.1g} to the cloud's {diagonal:.3g} m"
         raise InputError(f"{name} = {value}: expected a length above 0, {bounds}")
