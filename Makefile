@@ -47,7 +47,7 @@ check: $(READY)  ## run every notebook from scratch and compare metrics and tabl
 study: $(READY)  ## run what is missing of notebooks/study.toml and write results/study/ (from scratch: 7 hours on two cores)
 	@$(BIN)/steelnb study notebooks/study.toml -o results/study
 
-test: $(READY) lint  ## run linters, type checks, import contracts and all tests, with the notebooks at the smoke budget, on two workers
+test: $(READY) lint  ## run linters, type checks, import contracts and all tests, with the notebooks that are not up to date at the smoke budget, on two workers
 	@$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder
 	@NUMBA_DISABLE_JIT=1 $(BIN)/python -m pytest tests/hough tests/points tests/registration tests/fusion/test_kernels.py -m kernels -W ignore::RuntimeWarning
 
@@ -61,8 +61,8 @@ lint: $(READY)
 	@$(BIN)/mypy
 	@$(BIN)/lint-imports
 
-docs: $(READY)  ## build the offline pages with every executed notebook: docs/_build/html/index.html (BUDGET=full: as published)
-	@$(BIN)/python -m workflow pages --budget "$(or $(BUDGET),smoke)"
+docs: $(READY)  ## build the offline pages with every executed notebook: docs/_build/html/index.html (BUDGET=full: all as published)
+	@$(BIN)/python -m workflow pages $(if $(BUDGET),--budget "$(BUDGET)")
 	@$(BIN)/python -m sphinx -W --keep-going -q -j 2 docs docs/_build/html
 
 train: $(READY)  ## train the network of `deepvo` from scratch (half an hour on two cores; installs PyTorch)

@@ -1,4 +1,4 @@
-"""Every notebook once through papermill at its smoke budget, with its numbers checked."""
+"""The numbers of every notebook, as `make reproduce` has run it or, if that is not up to date, at its smoke budget."""
 
 import json
 import math
@@ -12,8 +12,7 @@ import pandas as pd
 import pytest
 
 from steelnb.notebook.claims import read_claims
-from workflow.experiments import first_parts, make_parts
-from workflow.run_notebooks import EXECUTED, cache_folder, part_folder, run
+from workflow.run_notebooks import EXECUTED, LATEST, cache_folder, latest_parts, part_folder, run
 from workflow.write_results import merge
 
 ROOT = Path(__file__).parents[1]
@@ -40,44 +39,48 @@ def test_a_notebook_holds_short_cells_and_no_functions(path):
 
 
 @pytest.fixture(scope="session")
-def smoke(tmp_path_factory):
-    """The results of every notebook at its smoke budget; those that are up to date come from the cache.
-
-    If several parts or experiments share a notebook, only the first part is run, since the others run the same cells.
-    """
-    folder, cache = tmp_path_factory.mktemp("smoke"), cache_folder(ROOT, ROOT / "results-smoke")
-    parts = first_parts(make_parts(ROOT, [], "smoke"))
+def latest():
+    """The parts whose outputs are tested, as `make docs` shows them, and the cache that holds these."""
+    parts, cache = latest_parts(ROOT), cache_folder(ROOT, ROOT / LATEST)
     faults = run(parts, cache, ROOT / ".cache")
     assert not any(faults.values()), faults
+    return parts, cache
+
+
+@pytest.fixture(scope="session")
+def folder(latest, tmp_path_factory):
+    """A folder with the results of each experiment."""
+    parts, cache = latest
+    made = tmp_path_factory.mktemp("results")
     for part in parts:
-        merge([part], cache, folder / part.id, "smoke")
-    return folder
+        merge([part], cache, made / part.id, "latest")
+    return made
 
 
 @pytest.fixture
-def results(smoke):
+def results(folder):
     """A function that reads table.csv and metrics.json of an experiment."""
 
     def read(id):
-        return pd.read_csv(smoke / id / "table.csv"), json.loads((smoke / id / "metrics.json").read_text())
+        return pd.read_csv(folder / id / "table.csv"), json.loads((folder / id / "metrics.json").read_text())
 
     return read
 
 
-def test_every_figure_has_colours_and_is_committed(smoke):
-    pictures = sorted(smoke.glob("*/fig_*.png"))
-    assert {path.parent.name for path in pictures} == {path.name for path in smoke.iterdir()}
+def test_every_figure_has_colours_and_is_committed(folder):
+    pictures = sorted(folder.glob("*/fig_*.png"))
+    assert {path.parent.name for path in pictures} == {path.name for path in folder.iterdir()}
     for path in pictures:
         pixels = plt.imread(path)[..., :3]
         coloured = np.ptp(pixels, axis=2) > 0.2  # curves and points are neither white nor grey, axes and text are
         least = 0.0005 if path.parent.name == "claims" else 0.001  # intervals are few thin lines
         assert coloured.mean() > least, path
-        assert (ROOT / "results" / path.relative_to(smoke)).is_file(), path
+        assert (ROOT / "results" / path.relative_to(folder)).is_file(), path
 
 
-def test_tables_beside_the_figures_have_few_columns_and_words_as_heads(smoke):
-    cache = cache_folder(ROOT, ROOT / "results-smoke")
-    for part in first_parts(make_parts(ROOT, [], "smoke")):
+def test_tables_beside_the_figures_have_few_columns_and_words_as_heads(latest):
+    parts, cache = latest
+    for part in parts:
         notebook = nbformat.read(part_folder(cache, part) / EXECUTED, as_version=4)
         outputs = [output for cell in notebook.cells for output in cell.get("outputs", [])]
         for html in (output["data"]["text/html"] for output in outputs if "text/html" in output.get("data", {})):
@@ -94,16 +97,18 @@ def test_the_world_notebook_finds_the_drift_of_the_model(results):
     assert metrics["vertical.members_seen"] >= 10
 
 
-def test_the_segmentation_notebook_corrects_the_drift(results, smoke):
+def test_the_segmentation_notebook_corrects_the_drift(results, folder):
     table, _ = results("segmentation-odometry")
+    made_with = json.loads((folder / "segmentation-odometry" / "provenance.json").read_text())["parts"]
+    flown_s = next(iter(made_with.values()))["constant-drift.average"]["flight"]["duration_s"]
     assert set(table["method"]) == {"none", "report-segments", "average", "least_squares"}
     assert (table["report_max_m"] > table["report_mean_m"]).all()
     final = table.pivot(index=["trajectory", "sensor"], columns="method", values="error_final_m")
-    assert np.allclose(final["none"], 0.0828e-3 * 125 * 28, rtol=0.03), "the report's constant drift"
+    assert np.allclose(final["none"], 0.0828e-3 * 125 * flown_s, rtol=0.03), "the report's constant drift"
     # The first scan is off by 0.12 m, as is the map from there on.
     assert (final[["average", "least_squares"]].max(axis=1) < 0.85 * final["none"]).all()
     assert (final["least_squares"] < final["average"]).all()
-    timing = pd.read_csv(smoke / "segmentation-odometry" / "timing.csv")
+    timing = pd.read_csv(folder / "segmentation-odometry" / "timing.csv")
     assert {"preprocess", "hough", "match", "map", "frame"} <= set(timing["stage"])
 
 
@@ -120,7 +125,7 @@ def test_the_icp_notebook_flies_the_report_s_programs_beside_the_methods_as_they
         assert first["rpe_rmse_m"]["best"] < 0.8 * first["rpe_rmse_m"]["report-icp"], flight
         # Dropping the rotation after the solve is not a restricted solve: that is the error of the report's program.
         assert first["error_final_m"]["icp-3dof"] < first["error_final_m"]["report-icp-3dof"], flight
-        assert first["bend_deg"]["best"] < 1, flight
+        assert first["bend_deg"]["best"] < 0.8 * first["bend_deg"]["report-icp"], flight
         assert first["tilt_max_deg"]["icp-3dof"] < first["tilt_max_deg"]["icp"], flight
         for method, row in first.iterrows():
             for name in ("bend_deg", "tilt_max_deg", "yaw_max_deg", "offset_max_m", "blur_mean_m"):
@@ -138,7 +143,6 @@ def test_the_convergence_notebook_maps_the_basin_and_searches(results):
         assert metrics[f"{label}.radius_m"] < 1.2
     wide, narrow = (f"3-DoF ICP, {distance} m" for distance in (0.5, 0.1))
     assert metrics[f"{wide}.right_share"] > metrics[f"{narrow}.right_share"]
-    assert metrics[f"{wide}.wrong_share"] > metrics[f"{narrow}.wrong_share"]
     assert 0 < metrics["pairs as in the report.gicp.right_share"] <= metrics["pairs within 0.5 m.gicp.right_share"]
     assert len(table) == metrics["flights"] == 2 * 2 * 3
     assert set(table["method"]) == {"icp-3dof", "report-icp-3dof"}
@@ -181,9 +185,9 @@ def test_the_accuracy_notebook_measures_seeds_and_gaps(results):
 
 
 @pytest.mark.parametrize("id", ["segmentation-methods", "segmentation-seeds"])
-def test_every_way_to_find_bars_sees_the_same_frames_under_every_condition(smoke, id):
-    folder = smoke / id if id == "segmentation-methods" else ROOT / "results" / id  # the frames of the claims
-    table, timing = (pd.read_csv(folder / name) for name in ("table.csv", "timing.csv"))
+def test_every_way_to_find_bars_sees_the_same_frames_under_every_condition(folder, id):
+    own = folder / id if id == "segmentation-methods" else ROOT / "results" / id  # the frames of the claims
+    table, timing = (pd.read_csv(own / name) for name in ("table.csv", "timing.csv"))
     assert not table.duplicated(["scene", "noise_m", "clutter", "kept", "method", "seed"]).any()
     for condition, rows in table.groupby(["noise_m", "clutter", "kept"]):
         assert {"hough", "ransac-lines", "ransac-planes", "dbscan", "gmm"} <= set(rows["method"]), condition
@@ -199,7 +203,7 @@ def test_every_way_to_find_bars_sees_the_same_frames_under_every_condition(smoke
     assert means["recall"]["dbscan"] < 0.8
     assert means["angle_deg"]["hough"] < 0.6
     assert means["offset_m"]["hough"] < 0.012
-    metrics = json.loads((folder / "metrics.json").read_text())
+    metrics = json.loads((own / "metrics.json").read_text())
     assert metrics["frame.hough.recall"] == pytest.approx(means["recall"]["hough"])
 
 
@@ -220,7 +224,7 @@ def test_the_claims_notebook_judges_every_claim_by_the_committed_study(results):
     assert abs(walk["highest"] - expected_m) < three_errors_m
 
 
-def test_the_structure_notebook_rebuilds_towers_and_hands_one_over(results, smoke):
+def test_the_structure_notebook_rebuilds_towers_and_hands_one_over(results, folder):
     table, metrics = results("structure")
     assert not table.duplicated(["tower", "poses", "method"]).any()
     first, other = (table[table["tower"] == name] for name in ("tapered", "light"))
@@ -230,7 +234,7 @@ def test_the_structure_notebook_rebuilds_towers_and_hands_one_over(results, smok
     assert exact["recall"] > 0.5
     assert exact["precision"] > 0.85
     assert fixed["offset_median_m"] < 0.03
-    structure = json.loads((smoke / "structure" / "structure_corrected_zigzag.json").read_text())
+    structure = json.loads((folder / "structure" / "structure_corrected_zigzag.json").read_text())
     assert len(structure["bars"]) == fixed["bars"]
     assert len(structure["joints"]) == fixed["joints"]
     # The other tower, of other sections.
@@ -239,7 +243,7 @@ def test_the_structure_notebook_rebuilds_towers_and_hands_one_over(results, smok
     assert (final["precision"] > 0.8).all()
     assert (final["recall"] > 0.4).all()
     assert metrics["zigzag.light.corrected.final.recall_mean"] == pytest.approx(final["recall"].iloc[0])
-    assert len(pd.read_csv(smoke / "structure" / "timing.csv")) == len(table)
+    assert len(pd.read_csv(folder / "structure" / "timing.csv")) == len(table)
     committed = json.loads((ROOT / "results" / "structure" / "metrics.json").read_text())
     # A short flight sees most bars from one side alone, which tells less of their sections than a whole one.
     for numbers, share, flights in ((metrics, 0.75, ["zigzag"]), (committed, 0.35, ["zigzag", "loops"])):
@@ -249,14 +253,14 @@ def test_the_structure_notebook_rebuilds_towers_and_hands_one_over(results, smok
             assert fitted < share * middle, flight
 
 
-def test_the_notebook_for_your_own_recording_corrects_the_bag_that_it_flies(results, smoke):
+def test_the_notebook_for_your_own_recording_corrects_the_bag_that_it_flies(results, folder):
     table, metrics = results("your-own-recording")
-    assert metrics["frames"] == metrics["frames_with_truth"] == 60
+    assert metrics["frames"] == metrics["frames_with_truth"] in (60, 300)  # of 12 or 60 s
     assert metrics["corrected_ate_rmse_m"] < 0.5 * metrics["prior_ate_rmse_m"]
     assert metrics["structure_bars"] >= 10
     assert not any(name.endswith(("_ms", "_share")) for name in metrics)
     assert table["recording"].tolist() == ["flight.bag"]
-    assert pd.read_csv(smoke / "your-own-recording" / "timing.csv")["stage"].tolist() == ["run"]
+    assert pd.read_csv(folder / "your-own-recording" / "timing.csv")["stage"].tolist() == ["run"]
 
 
 def test_the_notebook_of_honest_sensors_has_each_fault_and_both_sensors(results):

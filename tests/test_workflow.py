@@ -20,6 +20,7 @@ import pytest
 from steelnb.notebook.results import find_root
 from workflow.__main__ import main
 from workflow.experiments import make_parts
+from workflow.run_notebooks import latest_parts
 
 ROOT = Path(__file__).parents[1]
 EXPERIMENTS = """
@@ -185,6 +186,17 @@ def test_a_part_that_is_the_same_at_both_budgets_runs_once(project: Path, capsys
     edit(project / "notebooks" / "runs.toml", "smoke = { value = 3.0 }", "smoke = { value = 4.0 }")
     assert main(["reproduce", "single", "--budget", "smoke"]) == 0
     assert started(capsys.readouterr().err) == {"single"}
+
+
+def test_tests_and_pages_show_what_is_up_to_date_at_the_full_budget_and_else_a_short_run(project: Path) -> None:
+    def shown() -> list[tuple[str, float]]:
+        return [(part.label, part.parameters["value"]) for part in latest_parts(project)]
+
+    assert shown() == [("pair/zigzag", 2.0)]
+    edit(project / "notebooks" / "runs.toml", "value = 2 }", "value = 5 }")
+    assert shown() == [("pair/zigzag", 0.5)]
+    assert main(["reproduce", "pair"]) == 0
+    assert shown() == [("pair/zigzag", 5.0)]
 
 
 def test_key_follows_what_a_part_depends_on(project: Path, monkeypatch: pytest.MonkeyPatch) -> None:

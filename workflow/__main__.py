@@ -18,7 +18,7 @@ from steelnb.core.errors import InputError
 from steelnb.core.files import new_folder
 from steelnb.notebook.results import find_root
 from workflow.experiments import BUDGETS, first_parts, make_parts, parse_parameters, read_experiments
-from workflow.run_notebooks import cache_folder, run
+from workflow.run_notebooks import LATEST, cache_folder, latest_parts, run
 from workflow.write_results import write
 
 app = typer.Typer(add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False, help=__doc__)
@@ -120,7 +120,10 @@ def bits() -> int:
 
 
 @app.command()
-def pages(budget: Budget = "smoke", jobs: Jobs = 2) -> int:
+def pages(
+    budget: Annotated[str, typer.Option(help="full or smoke. Default: full where up to date, else smoke.")] = "",
+    jobs: Jobs = 2,
+) -> int:
     """Run the first part of every notebook, including those apart, if it is not up to date.
 
     The executed notebooks and Plotly's script go to docs/notebooks/ and docs/_static/, where Sphinx reads them.
@@ -128,8 +131,8 @@ def pages(budget: Budget = "smoke", jobs: Jobs = 2) -> int:
     from workflow.pages import write_pages
 
     root = find_root()
-    parts = first_parts(make_parts(root, [*read_experiments(root)], budget))
-    cache = cache_folder(root, root / BUDGETS[budget])
+    parts = first_parts(make_parts(root, [*read_experiments(root)], budget)) if budget else latest_parts(root)
+    cache = cache_folder(root, root / BUDGETS.get(budget, LATEST))
     for fault in filter(None, run(parts, cache, root / ".cache", jobs).values()):
         raise fault
     write_pages(parts, cache, root / "docs")

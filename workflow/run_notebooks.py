@@ -28,10 +28,12 @@ from steelnb.core.errors import InputError, SteelnbError
 from steelnb.notebook.parameters import FOLDER
 from steelnb.notebook.progress import PROGRESS_VARIABLE
 from steelnb.notebook.results import file_digest
-from workflow.experiments import Part
+from workflow.experiments import BUDGETS, Part, first_parts, make_parts, read_experiments
 
 EXECUTED, STAMP = "executed.ipynb", "stamp.json"
 REQUIRED = ("metrics.json", "table.csv", "provenance.json")
+LATEST = "latest"
+"""Name of the cache of the outputs that tests and pages show (`latest_parts`)."""
 INTERRUPTED = 130
 LINE_PERIOD_S = 30.0
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
@@ -64,6 +66,13 @@ def is_current(folder: Path, key: str) -> bool:
     return noted.is_file() and noted.read_text(encoding="utf-8") == stamp(key, folder)
 
 
+def latest_parts(root: Path) -> list[Part]:
+    """The first part of each notebook, with those apart: at the full budget if that is up to date, else at smoke."""
+    full, smoke = (first_parts(make_parts(root, [*read_experiments(root)], budget)) for budget in ("full", "smoke"))
+    kept = cache_folder(root, root / BUDGETS["full"])
+    return [a if is_current(part_folder(kept, a), a.key()) else b for a, b in zip(full, smoke, strict=True)]
+
+
 def replace_folder(made: Path, target: Path) -> None:
     """Move a folder to the place of another, if any."""
     shutil.rmtree(target, ignore_errors=True)
@@ -84,7 +93,7 @@ def run(parts: Sequence[Part], cache: Path, arrays: Path, jobs: int = 2) -> dict
             key, kept, own = part.key(), part_folder(cache, part), Path(scratch, part.label.replace("/", "~"))
             if is_current(kept, key):
                 continue
-            # Some parts are the same at both budgets.
+            # The output of another call may serve: some parts are the same at both budgets.
             others = cache.parent.glob(f"*/{kept.relative_to(cache)}")
             if same := next((folder for folder in others if is_current(folder, key)), None):
                 shutil.copytree(same, own)
