@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from steelnb.core.errors import InputError
-from steelnb.core.types import Array, Imu, IntArray, Trajectory
+from steelnb.core.types import GRAVITY, Array, Imu, IntArray, Trajectory
 from steelnb.io import messages as ros
 from steelnb.io.clocks import rising_stamps
 from steelnb.io.containers import Container, LostIndexError
@@ -21,6 +21,9 @@ from steelnb.io.scanning import Raw
 from steelnb.io.topics import PoseSource, camera_topic, pose_source, scan_topic
 from steelnb.io.trajectories import read_trajectory, trajectory_of
 from steelnb.io.transforms import Tree, check_order, is_world_name
+
+GRAVITIES = 0.7, 1.3
+"""Bounds of the median acceleration of a drone that hovers, if a driver gives multiples of gravity."""
 
 
 class Clock(NamedTuple):
@@ -52,7 +55,7 @@ class _Bag:
         is_depth = self.bag.types[topic] == ros.IMAGE
         source = pose_source(self.bag, poses, topic)
         self.headers.read(topic, *source.topics, *source.tf, *imus, *(self.bag.of_type(ros.CAMERA) if is_depth else ()))
-        camera, tree = self._camera(topic) if is_depth else None, self.headers.tree()
+        cameras, tree = self._cameras(topic) if is_depth else [], self.headers.tree()
         stamp_s = self.headers.scan_stamps(topic) + self.clock.offset_s
         for frame, text in self.headers.unstamped.items():
             if any(each == frame or tree.between(frame, each) for each in set(self.headers.scan_frames)):
@@ -67,11 +70,11 @@ class _Bag:
         self.headers.skipped["scan without a transform to the drone"] += int(unplaced.sum())
         facts = {"scans": f"{topic} ({self.bag.types[topic].rpartition('/')[2]})", "poses": said}
         facts |= {"mount": frames.source, "frames": frames.chain} | ({"imu": imus[0]} if imus else {})
+        imu = self._imu(imus[0], tree, body) if imus and imus[0] in self.headers.frame_of else None
         lost = ["what is whole is read"] if self.bag.notes else []
         notes = [*self.bag.notes, *lost, *self.headers.notes, *frames.notes]
         facts |= {"notes": "; ".join(notes)} if notes else {}
-        imu = self._imu(imus[0], tree, body) if imus and imus[0] in self.headers.frame_of else None
-        walk = partial(self._walk, topic, camera, frames)
+        walk = partial(self._walk, topic, cameras, frames)
         return Opened(frames.stamp_s, walk, prior, frames.T_drone_sensor, facts, imu, self.headers.skipped)
 
     def _poses(self, source: PoseSource, tree: Tree, sensor: str) -> tuple[Trajectory, str, str, str]:
@@ -113,15 +116,18 @@ class _Bag:
         found = trajectory_of(self.bag.path, np.array(rows, dtype=float).reshape(-1, 8), self.headers.skipped)
         return found, frame_name(message.header.frame_id), f"{topic} (the longest Path of it, {len(rows)} poses)"
 
-    def _camera(self, topic: str) -> ros.CameraInfo:
-        """The camera of depth images, and a note if its size is not theirs."""
-        camera = self.headers.cameras[camera_topic(self.bag, topic, list(self.headers.cameras))]
+    def _cameras(self, topic: str) -> list[tuple[float, ros.CameraInfo]]:
+        """The cameras of depth images, each from its stamp on, and notes on what is left out or contradicts."""
+        cameras = self.headers.cameras[camera_topic(self.bag, topic, list(self.headers.cameras))]
+        if len(cameras) > 1:
+            self.headers.notes["the CameraInfo changes in flight; each image has that of its time"] = None
+        _, camera = cameras[0]
         if camera.distortion:
             self.headers.notes[f"the lens's distortion ({camera.distortion}) is left out"] = None
         if self.headers.shape is not None:
             with suppress(InputError):  # it is the fault of each scan
                 self.headers.notes |= dict.fromkeys(filter(None, ros.camera_matrix(camera, *self.headers.shape)[1:]))
-        return camera
+        return cameras
 
     def _imu(self, topic: str, tree: Tree, body: str) -> Imu:
         """Inertial samples with increasing stamps, in the axes of the drone if a transform relates them."""
@@ -130,6 +136,10 @@ class _Bag:
         skipped["inertial sample that is not finite"] += len(rows) - len(whole)
         rows = whole[rising_stamps(whole[:, 0])]
         skipped["inertial sample whose stamp does not rise"] += len(whole) - len(rows)
+        size = float(np.linalg.norm(np.median(rows[:, 1:4], axis=0))) if len(rows) else 0.0
+        if GRAVITIES[0] < size < GRAVITIES[1]:
+            rows[:, 1:4] *= GRAVITY
+            self.headers.notes[f"accelerations of {topic} are in g, with a median of {size:.2f}"] = None
         first_s = rows[:1, 0] if len(rows) else np.zeros(1)
         place = tree.place(body, tree.resolve(self.headers.frame_of[topic][0]), first_s)
         T_drone_imu = np.eye(4) if place is None else drone_axes(body).T @ place.T_target_source[0]
@@ -137,15 +147,18 @@ class _Bag:
         return Imu(rows[:, 0], rows[:, 1:4] @ R_drone_imu.T, rows[:, 4:] @ R_drone_imu.T)
 
     def _walk(
-        self, topic: str, camera: ros.CameraInfo | None, frames: Frames, number: IntArray
+        self, topic: str, cameras: list[tuple[float, ros.CameraInfo]], frames: Frames, number: IntArray
     ) -> Iterator[Callable[[], Array]]:
         """Decoders of the scans with these increasing numbers."""
         selected, last = set(number.tolist()), int(number.max(initial=-1))
 
         def points(raw: Raw, k: int) -> Array:
             message = self.bag.decode(raw)
-            found = ros.cloud_points(message) if camera is None else ros.depth_points(message, camera)
-            return frames.convert(found, k)
+            if not cameras:
+                return frames.convert(ros.cloud_points(message), k)
+            stamp_s, _ = self.headers.times(raw, message)
+            begun = [camera for begin_s, camera in cameras if begin_s <= stamp_s]
+            return frames.convert(ros.depth_points(message, begun[-1] if begun else cameras[0][1]), k)
 
         for k, raw in enumerate(self.bag.messages(topic)):
             if k in selected:

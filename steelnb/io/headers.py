@@ -21,9 +21,10 @@ class Headers:
     """Stamps and frames of the scans, and the values of small messages; ``by_log``: stamps are times of recording.
 
     ``frame_of``: frame and child frame of each topic; ``scan_frames``: frame of each scan; ``shape``: rows and columns
-    of the first; ``cameras`` of topics; ``longest``: the longest Path; ``notes`` on what contradicted itself;
-    ``faults``: of each topic the first message that cannot be decoded; ``skipped``: counts of what is left out;
-    ``unstamped``: frames on moving transforms without stamps, and a text on each.
+    of the first; ``cameras`` of topics, each with the stamp from which it holds; ``longest``: the longest Path;
+    ``notes`` on what contradicted itself; ``faults``: of each topic the first message that cannot be decoded;
+    ``skipped``: counts of what is left out; ``unstamped``: frames on moving transforms without stamps, and a text on
+    each.
     """
 
     def __init__(self, bag: Container, by_log: bool) -> None:
@@ -32,7 +33,7 @@ class Headers:
         self.frame_of: dict[str, tuple[str, str]] = {}
         self.scan_frames: list[str] = []
         self.shape: tuple[int, int] | None = None
-        self.cameras: dict[str, ros.CameraInfo] = {}
+        self.cameras: dict[str, list[tuple[float, ros.CameraInfo]]] = defaultdict(list)
         self.longest: Raw | None = None
         self.notes: dict[str, None] = {}
         self.faults: dict[str, InputError] = {}
@@ -62,14 +63,16 @@ class Headers:
         if raw.kind in ros.TF:
             for each in message.transforms:
                 key = frame_name(each.header.frame_id), frame_name(each.child_frame_id), raw.topic.endswith("tf_static")
-                self._table[key].extend((*self._times(raw, each), *ros.pose_numbers(each, ros.TRANSFORM)))
+                self._table[key].extend((*self.times(raw, each), *ros.pose_numbers(each, ros.TRANSFORM)))
             return
         frame = frame_name(message.header.frame_id)
         self.frame_of[raw.topic] = frame, frame_name(getattr(message, "child_frame_id", ""))
         if raw.kind == ros.CAMERA:
-            self.cameras[raw.topic] = ros.camera_of(message)
+            camera, so_far = ros.camera_of(message), self.cameras[raw.topic]
+            if not so_far or not camera.equals(so_far[-1][1]):
+                so_far.append((self.times(raw, message)[0], camera))
             return
-        self._table[raw.topic].extend(self._times(raw, message))
+        self._table[raw.topic].extend(self.times(raw, message))
         if is_scan:
             self.scan_frames.append(frame)
             self._look_at(message, raw.kind)
@@ -78,7 +81,7 @@ class Headers:
         else:
             self._table[raw.topic].extend(ros.pose_numbers(message, raw.kind))
 
-    def _times(self, raw: Raw, message: Any) -> tuple[float, float]:
+    def times(self, raw: Raw, message: Any) -> tuple[float, float]:
         """The stamp that counts and the time of recording, seconds."""
         log_s = raw.log_ns / 1e9
         return log_s if self._by_log else ros.stamp_of(message), log_s

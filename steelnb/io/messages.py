@@ -29,6 +29,10 @@ class CameraInfo(NamedTuple):
     roi: tuple[int, int, int, int]
     distortion: str = ""
 
+    def equals(self, other: "CameraInfo") -> bool:
+        """Whether all values are equal."""
+        return np.array_equal(self.K, other.K) and self[1:] == other[1:]
+
 
 @np.errstate(invalid="ignore", over="ignore")
 def cloud_points(message: Any) -> Array:

@@ -79,10 +79,10 @@ def _seconds(stamps: Array, unit: str) -> Array:
 
 
 def _tum(table: Table) -> Array:
-    if table.columns != 8:
-        raise ValueError(f"{table.columns} numbers per line, without names; expected 8, or 12 with times.txt beside it")
     if table.has_header:
         raise ValueError(f"columns {', '.join(table.names)[:80]}; expected {', '.join(TUM)}")
+    if table.columns != 8:
+        raise ValueError(f"{table.columns} numbers per line, without names; expected 8, or 12 with times.txt beside it")
     rows = table.values(range(8))
     rows[:, 0] = _seconds(rows[:, 0], "")
     return rows

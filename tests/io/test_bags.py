@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from steelnb.core.errors import InputError
+from steelnb.core.types import GRAVITY
 from steelnb.io import read_flight, write_tum
 from steelnb.io.frames import T_OPTICAL_SENSOR
 from steelnb.io.messages import CLOUD, ODOMETRY, PATH, POSE_COVARIANCE, POSE_STAMPED, TRANSFORM
@@ -135,6 +136,16 @@ def test_depth_images_are_scans_if_there_are_no_clouds(bag, encoding, kind, unit
     np.testing.assert_allclose(points[1, 2], [5.0, -2.5, -0.625])
 
 
+def test_each_depth_image_has_the_camera_info_of_its_time(tmp_path):
+    depth = np.full((2, 3), 2.0, np.float32)
+    bag = Bagged(tmp_path / "a.bag").images("/depth/image", depth, "32FC1").odometry()
+    flight = read_flight(bag.camera().camera(K=(4.0, 0, 1.0, 0, 4.0, 0.5, 0, 0, 1), stamp_s=STAMPS[2]).write())
+    across = [float(np.ptp(scan.points[..., 1])) for scan in flight.scans]
+    assert across[:2] == [2.0, 2.0]
+    assert across[2:] == [1.0] * len(across[2:])
+    assert "CameraInfo changes" in flight.facts["notes"]
+
+
 def test_depth_images_need_a_camera_info(tmp_path):
     depth = np.ones((2, 3), "<u2")
     with pytest.raises(InputError, match=r"no CameraInfo of /depth/image"):
@@ -215,6 +226,20 @@ def test_inertial_samples_that_are_left_out_are_counted(tmp_path):
     assert flight.imu.stamp_s.tolist() == [0.1, 0.3]
     assert flight.skipped["inertial sample that is not finite"] == 1
     assert flight.skipped["inertial sample whose stamp does not rise"] == 1
+
+
+@pytest.mark.parametrize(
+    ("pull", "is_g"), [((0.0, 0.0, 1.0), True), ((0.4, 0.3, 9.8), False), ((0.0, 0.0, 0.0), False)]
+)
+def test_accelerations_in_multiples_of_gravity_are_read_as_such(tmp_path, pull, is_g):
+    bag = Bagged(tmp_path / "a.mcap").clouds().odometry().tf("base_link", "base_link_imu", np.eye(4))
+    moved = np.random.default_rng(1).normal(0, 1.0, (400, 3)) * (0.05 if is_g else 0.6)  # the last: gravity removed
+    for k, force in enumerate(moved + pull):
+        bag.rows.append(("/imu", "sensor_msgs/msg/Imu", k / 400, bag.make.imu(ns(k / 400), force, np.zeros(3))))
+    flight = read_flight(bag.write())
+    expected = (moved + pull) * (GRAVITY if is_g else 1.0)
+    np.testing.assert_allclose(flight.imu.specific_force, expected)
+    assert ("in g" in flight.facts.get("notes", "")) == is_g
 
 
 def test_a_message_of_a_database_without_a_time_is_left_out(tmp_path):
