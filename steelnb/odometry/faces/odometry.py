@@ -5,7 +5,7 @@ which the scan sees them. A bar with a known section has no such bias.
 
 1. Every `KEYFRAME_S` a scan becomes a keyframe.
 2. Every `REFIT_S`, a second thread finds bars in all keyframes, and adjusts bars and poses together
-   (`steelnb.odometry.faces.keyframes`).
+   (`steelnb.odometry.faces.keyframes`). It also does whatever else can wait until then, for short frames.
 3. Each scan is registered to the front faces of these bars (`steelnb.odometry.faces.scan_to_bars`).
 4. Odometry by clouds takes over where the bars do not determine the pose: at the start, and in unmapped areas.
 """
@@ -80,9 +80,9 @@ class FaceOdometry(BaseOdometry):
         self._stamp_s, self._keyframe_s, self._refit_s = -np.inf, -np.inf, np.inf
         # The step from the estimate to the output pose.
         self._lag = np.zeros(pose_size(self.tilt_sigma_rad))
-        self._adjustment: Future[Problem | None] | None = None
+        self._adjustment: Future[tuple[Problem, Locator] | None] | None = None
         self._adopt_s, self._adjusted_from = np.inf, np.eye(4)
-        self._waiting: list[tuple[Scan, Array, Array, Array]] = []  # keyframes taken during an adjustment
+        self._waiting: list[tuple[Scan, Array, Array, Array]] = []  # keyframes since the start of the last adjustment
 
     def _update(self, scan: Scan, prior: Array, watch: Stopwatch) -> Outcome:
         if not scan.stamp_s > self._stamp_s:  # assume the usual rate for scans without stamps
@@ -141,7 +141,6 @@ class FaceOdometry(BaseOdometry):
         self._waiting.append((scan, points, T_sensor, prior @ self.T_drone_sensor))
         self._keyframe_s = scan.stamp_s
         if self._adjustment is None:
-            self._insert_waiting(np.eye(4))
             self._start_adjustment()
         if mapped:
             return
@@ -149,36 +148,40 @@ class FaceOdometry(BaseOdometry):
         if len(cloud):
             self.clouds.insert(cloud, T_world_drone)
 
-    def _insert_waiting(self, T_correction: Array) -> None:
-        """Add the keyframes taken during an adjustment, moved by its ``T_correction (4, 4)``, world frame."""
-        for scan, points, T_sensor, prior in self._waiting:
-            self.keyframes.add(scan, points, T_correction @ T_sensor, prior)
-        self._waiting = []
-
     def _start_adjustment(self) -> None:
         """Start an adjustment of the keyframes in a thread, once in `REFIT_S`."""
         self._refit_s = min(self._refit_s, self._stamp_s + REFIT_S)
         if self._stamp_s < self._refit_s - 1e-6:
             return
         self._refit_s, self._adopt_s = self._stamp_s + REFIT_S, self._stamp_s + min(ADOPT_S, REFIT_S)
-        self._adjusted_from = self.keyframes.T_world_sensor[-1]
+        *_, self._adjusted_from, _ = self._waiting[-1]
         pool = ThreadPoolExecutor(1)
-        self._adjustment = pool.submit(self.keyframes.adjust)
+        self._adjustment = pool.submit(self._adjust, self._waiting)
         pool.shutdown(wait=False)
+        self._waiting = []
+
+    def _adjust(self, taken: list[tuple[Scan, Array, Array, Array]]) -> tuple[Problem, Locator] | None:
+        """Add the keyframes ``taken`` and adjust all; None if there are too few bars."""
+        for keyframe in taken:
+            self.keyframes.add(*keyframe)
+        state = self.keyframes.adjust()
+        if state is None:
+            return None
+        return state, Locator(state.bars.take(state.bars.has_section), tilt_sigma_rad=self.tilt_sigma_rad)
 
     def _adopt(self, T_world_drone: Array, output: Array) -> None:
         """Continue from the result of the adjustment, at the current scan."""
         assert self._adjustment is not None
-        state = self._adjustment.result()
+        adjusted = self._adjustment.result()
         self._adjustment, self._adopt_s = None, np.inf
-        if state is None:
-            self._insert_waiting(np.eye(4))
+        if adjusted is None:
             return
+        state, faces = adjusted
         T_correction = state.T_world_sensor[-1] @ np.linalg.inv(self._adjusted_from)
-        self._insert_waiting(T_correction)
-        ratio = self.faces.ratio if self.faces else state.sigma_ratio
-        self.faces = Locator(state.bars.take(state.bars.has_section), self._stamp_s, ratio, self.tilt_sigma_rad)
-        self.faces.variance = REFITTED_SIGMA[-len(self._lag) :] ** 2
+        self._waiting = [(scan, points, T_correction @ T, prior) for scan, points, T, prior in self._waiting]
+        faces.ratio = self.faces.ratio if self.faces else state.sigma_ratio
+        faces.stamp_s, faces.variance = self._stamp_s, REFITTED_SIGMA[-len(self._lag) :] ** 2
+        self.faces = faces
         self.prediction.adjust(T_correction, REFITTED_SIGMA**2)
         self._lag = pose_step(T_correction @ T_world_drone, output, len(self._lag))
 

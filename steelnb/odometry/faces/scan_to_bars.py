@@ -55,19 +55,19 @@ class Fit(NamedTuple):
 class Locator:
     """Registers scan after scan to ``bars`` with sections, in the world frame.
 
-    ``variance (D,)``: of the predicted pose of the next scan; D = 4, or 6 if the prior's roll and pitch have a
-    ``tilt_sigma_rad``; ``ratio``: range noise as a multiple of that in `points.ranges`.
+    ``stamp_s``: of the last scan; ``variance (D,)``: of the predicted pose of the next one; D = 4, or 6 if the prior's
+    roll and pitch have a ``tilt_sigma_rad``; ``ratio``: range noise as a multiple of that in `points.ranges`.
     """
 
     def __init__(self, bars: Bars, stamp_s: float = 0.0, ratio: float = 1.0, tilt_sigma_rad: float = 0.0) -> None:
         self.bars, self.ratio, self.tilt_sigma_rad = bars, ratio, tilt_sigma_rad
-        self.variance, self._stamp_s = np.zeros(drift_factors.pose_size(tilt_sigma_rad)), stamp_s
+        self.variance, self.stamp_s = np.zeros(drift_factors.pose_size(tilt_sigma_rad)), stamp_s
         self._voxels = BarVoxels.around(bars.segments, MATCH_REACH_M, MATCH_MARGIN_M, VOXEL_M)
 
     def predict(self, stamp_s: float) -> None:
         """Add the variance of the drift since the last scan."""
-        passed_s = max(stamp_s - self._stamp_s, 0.0) or drift_factors.DRIFT_PERIOD_S
-        self._stamp_s = stamp_s
+        passed_s = max(stamp_s - self.stamp_s, 0.0) or drift_factors.DRIFT_PERIOD_S
+        self.stamp_s = stamp_s
         self.variance = self.variance.copy()
         self.variance[-UPRIGHT_DOF:] += drift_factors.drift_variance(passed_s)
         decay = drift_factors.tilt_decay(2.0 * passed_s)  # of a variance
