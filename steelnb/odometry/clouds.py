@@ -12,11 +12,11 @@ from steelnb.odometry.base import BaseOdometry, Outcome, Stopwatch
 from steelnb.odometry.drift_filter import make_prediction
 from steelnb.odometry.near_side import NearSide
 from steelnb.odometry.prediction import LastingError, RegisteredPose
-from steelnb.points import VoxelMap, VoxelShapes, preprocess_scan, smooth_ranges
+from steelnb.points import VoxelMap, preprocess_scan, smooth_ranges
 from steelnb.points.covariances import UPPER, neighbour_covariances, regularised
 from steelnb.points.kdtree import build_kdtree
 from steelnb.points.ranges import SIGMA_M, range_sigma_m
-from steelnb.registration import FREE, AlignOptions, AnyTarget, RegistrationResult, Target, align
+from steelnb.registration import FREE, AlignOptions, AnyTarget, RegistrationResult, Target, VoxelTarget, align
 from steelnb.registration.degeneracy import NORMALS_MIN
 from steelnb.settings import LoamSettings, OdometrySettings, RegistrationSettings
 
@@ -154,13 +154,12 @@ class CloudOdometry(BaseOdometry):
         chosen = self._in_sight(self.map, points, T_init)
         if not len(chosen):
             return None, None
-        tree = build_kdtree(self.map.means(chosen), lazy=self.options.error == "point")
         if self.options.error != "gicp":
-            return Target(tree), None
-        if self.style.covariances == "neighbours":
-            return Target.with_planes(tree), regularised(neighbour_covariances(points))
-        shapes = VoxelShapes(self.map, chosen[tree.order], (0.5 * SIGMA_M) ** 2)
-        return Target(tree, covariance=shapes.value, filled=shapes), self._ray_covariances(points)
+            return VoxelTarget(self.map), None
+        if self.style.covariances == "measured":
+            return VoxelTarget(self.map, (0.5 * SIGMA_M) ** 2), self._ray_covariances(points)
+        tree = build_kdtree(self.map.means(chosen))
+        return Target.with_planes(tree), regularised(neighbour_covariances(points))
 
     def _in_sight(self, voxels: VoxelMap, points: Array, T_init: Array) -> IntArray:
         """Slots of the voxels near the points ``(N, 3)``, drone frame, of a scan."""

@@ -2,6 +2,6 @@
 
 from steelnb.points.filters import preprocess_scan, voxel_grid
 from steelnb.points.ranges import smooth_ranges
-from steelnb.points.voxel_map import VoxelMap, VoxelShapes
+from steelnb.points.voxel_map import VoxelMap
 
-__all__ = ["VoxelMap", "VoxelShapes", "preprocess_scan", "smooth_ranges", "voxel_grid"]
+__all__ = ["VoxelMap", "preprocess_scan", "smooth_ranges", "voxel_grid"]

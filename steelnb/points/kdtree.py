@@ -7,18 +7,15 @@ import numpy as np
 from steelnb.core.kernels import njit
 from steelnb.core.types import Array, IntArray
 
-LEAF_POINTS = 10
+LEAF = 10
 """Largest number of points in a leaf."""
-LEAF, UNSPLIT = -1, -2
-"""Values of ``axis`` of nodes without children."""
 
 
 class KdTree(NamedTuple):
     """``point (N, 3)``: the points sorted by leaf; ``order (N,)``: the index of each in the original cloud.
 
-    Per node: ``axis`` of its split, `LEAF` or `UNSPLIT`; ``low`` and ``high``, the largest coordinate left of the split
-    and the smallest right of it; ``left`` and ``right``, its children, or the range of its points. ``nodes (1,)``: the
-    number of nodes so far.
+    Per node: ``axis`` of its split, −1 for a leaf; ``low`` and ``high``, the largest coordinate left of the split and
+    the smallest right of it; ``left`` and ``right``, its children, or the range of points in a leaf.
     """
 
     point: Array
@@ -28,69 +25,49 @@ class KdTree(NamedTuple):
     high: Array
     left: IntArray
     right: IntArray
-    nodes: IntArray
 
 
-def build_kdtree(points: Array, lazy: bool = False) -> KdTree:
-    """Tree over finite points ``(N, 3)``, split at the median of the longest side down to `LEAF_POINTS` points.
-
-    A ``lazy`` tree begins as one unsplit node. Searches split the nodes that they reach (`nearest_k`). They find the
-    same points, in less time if they cover part of the cloud. The index of a point is final once a search has found it.
-    """
-    tree: KdTree = _build(np.ascontiguousarray(points, dtype=np.float64), lazy)
-    return tree
+def build_kdtree(points: Array) -> KdTree:
+    """Tree over finite points ``(N, 3)``, split at the median of the longest side down to `LEAF` points."""
+    return KdTree(*_build(np.ascontiguousarray(points, dtype=np.float64)))
 
 
 @njit(cache=True)
-def _build(points, lazy):
+def _build(points):
     n = len(points)
-    capacity = max(1, 4 * n // LEAF_POINTS + 4)
-    tree = KdTree(
-        points.copy(), np.arange(n), np.full(capacity, LEAF, np.int64), np.zeros(capacity), np.zeros(capacity),
-        np.zeros(capacity, np.int64), np.zeros(capacity, np.int64), np.ones(1, np.int64),
-    )  # fmt: skip
-    _begin(tree, 0, 0, n)
-    stack = np.zeros(64, np.int64)
-    depth = np.int64(not lazy)
+    point, order = points.copy(), np.arange(n)  # sorted together: through indices it takes 16 % longer
+    capacity = max(1, 4 * n // LEAF + 4)
+    axis = np.full(capacity, -1, np.int64)
+    low, high = np.zeros(capacity), np.zeros(capacity)
+    left, right = np.zeros(capacity, np.int64), np.zeros(capacity, np.int64)
+    stack = np.zeros((64, 3), np.int64)  # node, first, last
+    stack[0, 2] = n
+    depth, nodes = 1, 1
     while depth:
         depth -= 1
-        node = stack[depth]
-        if tree.axis[node] == UNSPLIT:
-            split(tree, node)
-            stack[depth], stack[depth + 1] = tree.right[node], tree.left[node]
-            depth += 2
-    return tree
-
-
-@njit(cache=True)
-def _begin(tree, node, first, last):
-    tree.left[node], tree.right[node] = first, last
-    tree.axis[node] = LEAF if last - first <= LEAF_POINTS else UNSPLIT
-
-
-@njit(cache=True)
-def split(tree, node):
-    """Split an `UNSPLIT` node at the median of its longest side."""
-    point, order = tree.point, tree.order  # sorted together: through indices it takes 16 % longer
-    first, last = tree.left[node], tree.right[node]
-    longest, side = -1.0, 0
-    for d in range(3):
-        lowest, highest = np.inf, -np.inf
-        for k in range(first, last):
-            lowest, highest = min(lowest, point[k, d]), max(highest, point[k, d])
-        if highest - lowest > longest:
-            longest, side = highest - lowest, d
-    middle = (first + last) // 2
-    _select(point, order, side, first, last - 1, middle)
-    below = -np.inf
-    for k in range(first, middle):
-        below = max(below, point[k, side])
-    child = tree.nodes[0]
-    tree.nodes[0] += 2
-    tree.axis[node], tree.low[node], tree.high[node] = side, below, point[middle, side]
-    tree.left[node], tree.right[node] = child, child + 1
-    _begin(tree, child, first, middle)
-    _begin(tree, child + 1, middle, last)
+        node, first, last = stack[depth]
+        if last - first <= LEAF:
+            left[node], right[node] = first, last
+            continue
+        longest, side = -1.0, 0
+        for d in range(3):
+            lowest, highest = np.inf, -np.inf
+            for k in range(first, last):
+                lowest, highest = min(lowest, point[k, d]), max(highest, point[k, d])
+            if highest - lowest > longest:
+                longest, side = highest - lowest, d
+        middle = (first + last) // 2
+        _select(point, order, side, first, last - 1, middle)
+        below = -np.inf
+        for k in range(first, middle):
+            below = max(below, point[k, side])
+        axis[node], low[node], high[node] = side, below, point[middle, side]
+        left[node], right[node] = nodes, nodes + 1
+        stack[depth] = (nodes + 1, middle, last)
+        stack[depth + 1] = (nodes, first, middle)
+        depth += 2
+        nodes += 2
+    return point, order, axis[:nodes], low[:nodes], high[:nodes], left[:nodes], right[:nodes]
 
 
 @njit(cache=True)
@@ -121,8 +98,6 @@ def _select(point, order, side, first, last, k):
 @njit(cache=True)
 def next_leaf(tree, x, y, z, limit, depth, node_of, node_distance):
     """Next leaf that may hold points within √limit of (x, y, z), and the remaining depth of the stack; leaf −1 if none.
-
-    In a lazy tree, it may be an `UNSPLIT` node.
 
     The stack of nodes to visit is ``node_of (64,)``, and ``node_distance (64, 4)`` with the squared distance to the box
     of each node and its parts along x, y and z. A search starts with ``depth`` 1 and zeros in their first rows. Source:
@@ -161,7 +136,6 @@ def nearest_k(tree, x, y, z, k_most, limit, found, distance, node_of, node_dista
     """Find the nearest points: indices in ``tree.point`` go to ``found``, squared distances to ``distance``.
 
     Up to ``k_most`` points within √limit, nearest first; returns their number. A tight limit makes the search faster.
-    If it comes to a node of a lazy tree that is `UNSPLIT`, it returns −1 − node: `split` the node and search again.
     ``node_of (64,)`` and ``node_distance (64, 4)`` are buffers.
     """
     point = tree.point
@@ -169,8 +143,6 @@ def nearest_k(tree, x, y, z, k_most, limit, found, distance, node_of, node_dista
     count, worst = 0, limit
     leaf, depth = next_leaf(tree, x, y, z, worst, 1, node_of, node_distance)
     while leaf >= 0:
-        if tree.axis[leaf] == UNSPLIT:
-            return -1 - leaf
         for k in range(tree.left[leaf], tree.right[leaf]):
             dx, dy, dz = point[k, 0] - x, point[k, 1] - y, point[k, 2] - z
             d = dx * dx + dy * dy + dz * dz

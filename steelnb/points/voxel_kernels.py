@@ -150,18 +150,18 @@ def link(first, last, keys, table_key, table_slot, around):
 
 
 @njit(cache=True)
-def shapes(index, slots, floor, value, voxel, around, moment):
-    """Write the covariances of all points in the 3×3×3 voxels around the voxels ``slots[index]`` to ``value[index]``.
+def shapes(slots, floor, value, value_mark, mark, voxel, around, moment):
+    """Write the covariances of all points in the 3×3×3 voxels around the voxels ``slots`` to ``value[slots]``.
 
-    ``floor`` is added to their diagonals. Negative ``index`` entries and rows of ``value (M, 6)`` that are not NaN are
-    skipped.
+    ``floor`` is added to their diagonals. Negative entries are skipped, and voxels whose ``value_mark`` is ``mark``.
     """
-    for at in index:
-        if at < 0 or not np.isnan(value[at, 0]):
+    for at in slots:
+        if at < 0 or value_mark[at] == mark:
             continue
+        value_mark[at] = mark
         m = NO_MOMENTS
         for neighbour in range(27):
-            other = around[slots[at], neighbour]
+            other = around[at, neighbour]
             if other >= 0:
                 i, j, k = neighbour // 9 - 1, neighbour // 3 % 3 - 1, neighbour % 3 - 1
                 m = add_moments(m, moment[other], i * voxel, j * voxel, k * voxel)
@@ -169,3 +169,73 @@ def shapes(index, slots, floor, value, voxel, around, moment):
         value[at, 0] += floor
         value[at, 3] += floor
         value[at, 5] += floor
+
+
+@njit(cache=True)
+def nearest(x, y, z, limit, voxel, table_key, table_slot, mean):
+    """Slot of the mean nearest to (x, y, z) and its squared distance, and a distance within which there is no other.
+
+    The slot is −1 if no mean is within ``limit``. The search visits one cubic shell of voxels after the other, until
+    what they cover is farther than the nearest mean or the limit.
+    """
+    inverse = 1.0 / voxel
+    i, j, k = np.int64(np.floor(x * inverse)), np.int64(np.floor(y * inverse)), np.int64(np.floor(z * inverse))
+    fx, fy, fz = x - i * voxel, y - j * voxel, z - k * voxel
+    edge = min(fx, voxel - fx, fy, voxel - fy, fz, voxel - fz)
+    slot, best, second, covered = np.int64(-1), np.inf, np.inf, edge
+    for shell in range(np.int64(limit * inverse) + 2):
+        covered = shell * voxel + edge
+        for a in range(-shell, shell + 1):
+            dx = max(a * voxel - fx, fx - (a + 1) * voxel, 0.0)
+            for b in range(-shell, shell + 1):
+                dy = max(b * voxel - fy, fy - (b + 1) * voxel, 0.0)
+                inside = abs(a) < shell and abs(b) < shell
+                for c in range(-shell, shell + 1, 2 * shell if inside else 1):
+                    dz = max(c * voxel - fz, fz - (c + 1) * voxel, 0.0)
+                    if dx * dx + dy * dy + dz * dz > second:
+                        continue
+                    other = find(pack(i + a, j + b, k + c), table_key, table_slot)
+                    if other >= 0:
+                        px, py, pz = mean[other, 0] - x, mean[other, 1] - y, mean[other, 2] - z
+                        d = px * px + py * py + pz * pz
+                        if d < best:
+                            slot, best, second = other, d, best
+                        elif d < second:
+                            second = d
+        if best <= covered * covered or covered > limit:
+            break
+    if best > limit * limit:
+        return np.int64(-1), best, min(np.sqrt(best), covered)
+    return slot, best, min(np.sqrt(second), covered)
+
+
+@njit(cache=True)
+def correspond(source, T, limit, voxel, table_key, table_slot, mean, match, nearest_of, others_min, searched_from):
+    """Write the slot of the mean nearest to each point under T to ``match (N,)``: −1 if none is within ``limit``.
+
+    Returns the number of searches. As in `registration.target.correspond_points`, a point is searched for only if its
+    nearest mean may have changed: all but ``nearest_of (N,)`` were at least ``others_min (N,)`` away from
+    ``searched_from (N, 3)``. A negative ``others_min`` forces a search.
+    """
+    searches = 0
+    for n in range(len(source)):
+        x, y, z = source[n, 0], source[n, 1], source[n, 2]
+        qx = T[0, 0] * x + T[0, 1] * y + T[0, 2] * z + T[0, 3]
+        qy = T[1, 0] * x + T[1, 1] * y + T[1, 2] * z + T[1, 3]
+        qz = T[2, 0] * x + T[2, 1] * y + T[2, 2] * z + T[2, 3]
+        if others_min[n] >= 0.0:
+            mx, my, mz = qx - searched_from[n, 0], qy - searched_from[n, 1], qz - searched_from[n, 2]
+            free = others_min[n] - np.sqrt(mx * mx + my * my + mz * mz)
+            known, d = nearest_of[n], np.inf
+            if known >= 0:
+                px, py, pz = mean[known, 0] - qx, mean[known, 1] - qy, mean[known, 2] - qz
+                d = px * px + py * py + pz * pz
+            if free > 0.0 and (d < free * free or free > limit):
+                match[n] = known if d <= limit * limit else -1
+                continue
+        # Slightly beyond the limit, so that points without a pair are not searched for every time.
+        slot, d, others_min[n] = nearest(qx, qy, qz, 1.05 * limit, voxel, table_key, table_slot, mean)
+        nearest_of[n], match[n] = slot, slot if d <= limit * limit else -1
+        searched_from[n, 0], searched_from[n, 1], searched_from[n, 2] = qx, qy, qz
+        searches += 1
+    return searches

@@ -1,5 +1,7 @@
 """An incremental voxel map: a hash table of voxels with the moments of their points."""
 
+from typing import NamedTuple
+
 import numpy as np
 
 from steelnb.core.arguments import checks_arguments
@@ -7,6 +9,20 @@ from steelnb.core.checks import checked_cloud, checked_number
 from steelnb.core.errors import InputError
 from steelnb.core.types import Array, IntArray
 from steelnb.points import voxel_kernels as kernels
+
+
+class SearchState(NamedTuple):
+    """What `VoxelMap.correspond` knows of N source points: the slot nearest to each, the distance to all others, and
+    the place it was searched from."""
+
+    nearest: IntArray
+    others_min: Array
+    searched_from: Array
+
+    @classmethod
+    def of(cls, count: int) -> "SearchState":
+        """Nothing is known of ``count`` points yet."""
+        return cls(np.full(count, -1), np.full(count, -1.0), np.zeros((count, 3)))
 
 
 class VoxelMap:
@@ -26,6 +42,8 @@ class VoxelMap:
         self._mean = np.zeros((1 << 12, 3))
         self._last_mark = np.zeros(1 << 12, dtype=np.int64)
         self._around = np.zeros((1 << 12, 27), dtype=np.int32)  # valid for the first `_linked` voxels
+        self._shape = np.zeros((1 << 12, 6))
+        self._shape_mark = np.zeros(1 << 12, dtype=np.int64)  # number of insertions for which the shape is valid
         self._size = self._linked = self._mark = 0
 
     def __len__(self) -> int:
@@ -49,7 +67,7 @@ class VoxelMap:
             raise InputError(f"weight of shape {weight.shape}: expected ({len(points)},) positive numbers")
         needed = self._size + len(points)
         while needed > len(self._key):
-            for name in ("_key", "_last_mark", "_moment", "_mean", "_around"):
+            for name in ("_key", "_last_mark", "_moment", "_mean", "_around", "_shape", "_shape_mark"):
                 array = getattr(self, name)
                 setattr(self, name, np.concatenate([array, np.zeros_like(array)]))
         if 2 * needed > len(self._table[0]):
@@ -64,9 +82,12 @@ class VoxelMap:
         """Keys ``(M,)`` of all voxels (`voxel_kernels.pack`)."""
         return self._key[: self._size]
 
-    def means(self, slots: IntArray | None = None) -> Array:
-        """Means ``(M, 3)`` in metres of all voxels, or of the voxels ``slots``."""
-        return self._mean[: self._size].copy() if slots is None else self._mean[slots]
+    def means(self, slots: IntArray | None = None, copy: bool = True) -> Array:
+        """Means ``(M, 3)`` in metres of all voxels, or of the voxels ``slots``; without ``copy`` for use until the next
+        insertion."""
+        if slots is not None:
+            return self._mean[slots]
+        return self._mean[: self._size].copy() if copy else self._mean[: self._size]
 
     def weights(self) -> Array:
         """Total weights ``(M,)`` of all voxels."""
@@ -78,24 +99,23 @@ class VoxelMap:
         low, high = (np.clip(side, -kernels.REACH, kernels.REACH).astype(np.int64) for side in (low, high))
         return kernels.near(self.keys(), low, high)
 
-    def fill_shapes(self, index: IntArray, slot: IntArray, floor_m2: float, value: Array) -> None:
-        """See `VoxelShapes`."""
+    def shapes(self, slots: IntArray, floor_m2: float = 0.0) -> Array:
+        """Covariances ``(M, 6)`` of the points in the 3×3×3 voxels around each voxel, m²: upper triangles xx xy xz yy
+        yz zz, with ``floor_m2``, the same in every call, added to the variances.
+
+        Rows ``slots (N,)`` are computed, −1 is ignored; others are undefined. Valid until the next insertion.
+        """
         kernels.link(self._linked, self._size, self._key, *self._table, self._around)
         self._linked = self._size
-        kernels.shapes(index, slot, floor_m2, value, self.voxel_m, self._around, self._moment)
+        kernels.shapes(
+            slots, floor_m2, self._shape, self._shape_mark, self._mark, self.voxel_m, self._around, self._moment
+        )
+        return self._shape[: self._size]
 
+    def correspond(self, source: Array, T: Array, limit_m: float, match: IntArray, state: SearchState) -> int:
+        """Write the slot of the mean nearest to each point ``source (N, 3)`` moved by ``T (4, 4)`` to ``match (N,)``.
 
-class VoxelShapes:
-    """Covariance of the points in the 3×3×3 voxels around each voxel ``slot (M,)``, valid until the next insertion.
-
-    ``value (M, 6)``, m², upper triangles xx xy xz yy yz zz, with ``floor_m2`` added to all three variances. It is NaN
-    until computed on demand, since a scan matches few voxels of a map.
-    """
-
-    def __init__(self, voxels: VoxelMap, slot: IntArray, floor_m2: float = 0.0) -> None:
-        self.voxels, self.slot, self.floor_m2 = voxels, slot, floor_m2
-        self.value = np.full((len(slot), 6), np.nan)
-
-    def fill(self, index: IntArray) -> None:
-        """Compute the missing rows ``index (N,)`` of ``value``; −1 entries are ignored."""
-        self.voxels.fill_shapes(index, self.slot, self.floor_m2, self.value)
+        It is −1 if none is within ``limit_m``. ``state`` of the last call for the same source saves searches, whose
+        number is returned.
+        """
+        return int(kernels.correspond(source, T, limit_m, self.voxel_m, *self._table, self._mean, match, *state))

@@ -4,9 +4,9 @@ from steelnb.registration.icp import register
 from steelnb.registration.pcl import Aligned, gicp_as_pcl, icp_as_pcl
 from steelnb.registration.result import RegistrationResult
 from steelnb.registration.solver import FREE, AlignOptions, Term, align, prior_term
-from steelnb.registration.target import AnyTarget, Target, make_target
+from steelnb.registration.target import AnyTarget, Target, VoxelTarget, make_target
 
 __all__ = [
-    "FREE", "AlignOptions", "Aligned", "AnyTarget", "RegistrationResult", "Target", "Term", "align",
-    "gicp_as_pcl", "icp_as_pcl", "make_target", "prior_term", "register",
+    "FREE", "AlignOptions", "Aligned", "AnyTarget", "RegistrationResult", "Target", "Term",
+    "VoxelTarget", "align", "gicp_as_pcl", "icp_as_pcl", "make_target", "prior_term", "register",
 ]  # fmt: skip

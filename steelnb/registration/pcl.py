@@ -13,7 +13,7 @@ import numpy as np
 from steelnb.core.geometry import transform_points
 from steelnb.core.types import Array
 from steelnb.registration.pcl_bfgs import euler_pose, minimise, pair_metrics
-from steelnb.registration.target import Target
+from steelnb.registration.target import AnyTarget
 
 PAIRS_MIN = {"point": 3, "gicp": 4}
 """With fewer pairs a registration fails."""
@@ -35,7 +35,7 @@ class Aligned(NamedTuple):
 
 def icp_as_pcl(
     source: Array,
-    target: Target,
+    target: AnyTarget,
     max_correspondence_m: float,
     iterations_max: int,
     epsilon: float,
@@ -70,7 +70,7 @@ def icp_as_pcl(
 def gicp_as_pcl(
     source: Array,
     covariance: Array,
-    target: Target,
+    target: AnyTarget,
     max_correspondence_m: float,
     iterations_max: int,
     epsilon: float,

@@ -11,9 +11,10 @@ from steelnb.core.checks import checked_choice, checked_cloud
 from steelnb.core.errors import InputError
 from steelnb.core.kernels import njit
 from steelnb.core.types import Array, IntArray
-from steelnb.points import VoxelShapes
+from steelnb.points import VoxelMap
 from steelnb.points.covariances import NEIGHBOURS, PlaneCovariances, neighbour_covariances, normals
-from steelnb.points.kdtree import KdTree, build_kdtree, nearest_k, split
+from steelnb.points.kdtree import KdTree, build_kdtree, nearest_k
+from steelnb.points.voxel_map import SearchState
 
 CACHED = 3
 """Number of neighbours of each source point that are cached between iterations."""
@@ -47,7 +48,7 @@ class Target:
     tree: KdTree
     normal: Array = field(default_factory=lambda: np.zeros((0, 3)))
     covariance: Array = field(default_factory=lambda: np.zeros((0, 6)))
-    filled: PlaneCovariances | VoxelShapes | None = None
+    filled: PlaneCovariances | None = None
 
     @classmethod
     def with_planes(cls, tree: KdTree) -> "Target":
@@ -69,6 +70,27 @@ class Target:
             correspond_points(self.tree, source, T, limit_m, match, *state)
             if self.filled:
                 self.filled.fill(match)
+            return match
+
+        return search
+
+
+class VoxelTarget:
+    """The means of a voxel map's voxels, which need no tree, and the covariances around them if a ``floor_m2`` for
+    their variances is given (`VoxelMap.shapes`). Valid until the next insertion."""
+
+    def __init__(self, voxels: VoxelMap, floor_m2: float | None = None) -> None:
+        self.voxels, self.floor_m2 = voxels, floor_m2
+        self.point, self.normal, self.covariance = voxels.means(copy=False), np.zeros((0, 3)), np.zeros((0, 6))
+
+    def search(self, source: Array, limit_m: float) -> Search:
+        """Nearest means of source points ``(N, 3)`` within ``limit_m``: exact, but searched only when needed."""
+        match, state = np.full(len(source), -1), SearchState.of(len(source))
+
+        def search(T: Array) -> IntArray:
+            self.voxels.correspond(source, T, limit_m, match, state)
+            if self.floor_m2 is not None:
+                self.covariance = self.voxels.shapes(match, self.floor_m2)
             return match
 
         return search
@@ -137,11 +159,7 @@ def correspond_points(tree, source, T, limit, match, neighbours, others_min, sea
                 continue
             if count == k_most:
                 search_limit = min(search_limit, cached_max * (1.0 + 1e-9) + 1e-300)
-        count = -1
-        while count < 0:
-            count = nearest_k(tree, qx, qy, qz, k_most, search_limit, neighbours[i], distance, node_of, node_distance)
-            if count < 0:
-                split(tree, -1 - count)
+        count = nearest_k(tree, qx, qy, qz, k_most, search_limit, neighbours[i], distance, node_of, node_distance)
         for c in range(count, k_most):
             neighbours[i, c] = -1
         match[i] = neighbours[i, 0] if count > 0 and distance[0] <= limit * limit else -1

@@ -4,8 +4,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from steelnb.core.errors import InputError
-from steelnb.points import VoxelMap, VoxelShapes, voxel_grid
+from steelnb.points import VoxelMap, voxel_grid
 from steelnb.points import voxel_kernels as kernels
+from steelnb.points.voxel_map import SearchState
 from tests import naive
 
 VOXEL = 0.25
@@ -41,13 +42,12 @@ def test_moments_and_shapes_equal_their_slow_twin_after_every_scan(seed, voxel_m
         expected = naive.voxel_moments(points, weights, voxel_m)
         means, mass = voxels.means(), voxels.weights()
         assert len(voxels) == len(expected) == len(means)
-        slots = rng.permutation(len(voxels))
-        shapes = VoxelShapes(voxels, slots, floor_m2=0.25)
         asked = rng.integers(-1, len(voxels), 5)
-        shapes.fill(asked)
-        np.testing.assert_array_equal(np.flatnonzero(np.isfinite(shapes.value[:, 0])), np.unique(asked[asked >= 0]))
-        shapes.fill(np.arange(len(voxels)))
-        for slot, shape in zip(slots, naive.full(shapes.value), strict=True):
+        some = asked[asked >= 0]
+        first = voxels.shapes(asked, 0.25)[some].copy()
+        shapes = voxels.shapes(np.arange(len(voxels)), 0.25)
+        np.testing.assert_array_equal(first, shapes[some])
+        for slot, shape in enumerate(naive.full(shapes)):
             weight_, mean, covariance = expected[tuple(np.floor(means[slot] / voxel_m).astype(int))]
             assert mass[slot] == pytest.approx(weight_)
             np.testing.assert_allclose(means[slot], mean, atol=1e-12)
@@ -76,11 +76,37 @@ def test_many_insertions_equal_one():
         grown.insert(part)
     assert len(grown) == len({tuple(c) for c in np.floor(points / 0.2).astype(int)})
     np.testing.assert_allclose(grown.means(), at_once.means(), atol=1e-12)
-    shapes = [VoxelShapes(voxels, np.arange(len(voxels))) for voxels in (grown, at_once)]
-    for each in shapes:
-        each.fill(each.slot)
-    np.testing.assert_allclose(shapes[0].value, shapes[1].value, atol=1e-12)
+    shapes = [voxels.shapes(np.arange(len(voxels))) for voxels in (grown, at_once)]
+    np.testing.assert_allclose(*shapes, atol=1e-12)
     assert sum(array.nbytes for array in vars(grown).values() if isinstance(array, np.ndarray)) < 100e6
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    seed=st.integers(0, 10_000), voxel_m=st.sampled_from([0.1, 0.25, 1.0]), limit_m=st.sampled_from([0.05, 0.3, 1.0])
+)
+def test_the_nearest_mean_of_each_moving_point_is_found(seed, voxel_m, limit_m):
+    rng, voxels, n = np.random.default_rng(seed), VoxelMap(voxel_m), 20
+    voxels.insert(rng.normal(size=(rng.integers(1, 150), 3)) * [1, 0.5, 0.1])
+    source = rng.normal(size=(n, 3))
+    source[0], source[1] = 1e9, np.nan  # far away, and nowhere
+    match, state, T = np.full(n, 7), SearchState.of(n), np.eye(4)
+    for size in (0.3, 0.1, 0.01, 0.001, 0.3):
+        T[:3, 3] += rng.normal(size=3) * size
+        voxels.correspond(source, T, limit_m, match, state)
+        apart = np.linalg.norm((source + T[:3, 3])[:, None] - voxels.means(), axis=2)
+        apart[1] = np.inf
+        np.testing.assert_array_equal(match, np.where(apart.min(axis=1) <= limit_m, apart.argmin(axis=1), -1))
+
+
+def test_points_that_hardly_move_are_not_searched_for_again():
+    voxels, rng = VoxelMap(VOXEL), np.random.default_rng(0)
+    voxels.insert(rng.uniform(-1, 1, (3000, 3)) * [1, 1, 0.05])
+    source, T = rng.uniform(-1, 1, (500, 3)) * [1, 1, 0.05], np.eye(4)
+    match, state = np.full(500, -1), SearchState.of(500)
+    assert voxels.correspond(source, T, 0.5, match, state) == 500
+    T[0, 3] = 0.001
+    assert voxels.correspond(source, T, 0.5, match, state) < 50
 
 
 def test_near_finds_the_voxels_that_overlap_a_cube():

@@ -18,7 +18,8 @@ from steelnb.odometry.base import BaseOdometry, Outcome, Stopwatch
 from steelnb.points import VoxelMap, voxel_grid
 from steelnb.points.covariances import neighbour_covariances, regularised
 from steelnb.points.kdtree import build_kdtree
-from steelnb.registration import FREE, Aligned, AlignOptions, Target, align, gicp_as_pcl, icp_as_pcl
+from steelnb.registration import FREE, AlignOptions, AnyTarget, Target, VoxelTarget, align, make_target
+from steelnb.registration.pcl import Aligned, gicp_as_pcl, icp_as_pcl
 from steelnb.settings import OdometrySettings, ReportCloudSettings
 
 BOX_LOW, BOX_HIGH = np.array([-0.1, -3.0, -3.0]), np.array([4.0, 3.0, 3.0])
@@ -104,10 +105,12 @@ class ReportCloudOdometry(BaseOdometry):
 
     def registered(self, points: Array) -> Aligned:
         """Register points ``(N, 3)``, world frame, to the whole map."""
-        t, tree, covariance = self.program, build_kdtree(self.map_points(), lazy=self.program.error == "point"), None
-        target = Target(tree)
-        if t.error == "gicp":
-            covariance = neighbour_covariances(points)
+        t, covariance = self.program, None
+        target: AnyTarget
+        if t.error == "point":
+            target = VoxelTarget(self.map) if len(self.map) else make_target(self.first, "point")
+        else:
+            tree, covariance = build_kdtree(self.map_points()), neighbour_covariances(points)
             if "covariances" in self.switched:
                 target = Target(tree, covariance=neighbour_covariances(tree.point, tree=tree))
             else:
