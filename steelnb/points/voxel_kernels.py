@@ -172,28 +172,38 @@ def shapes(slots, floor, value, value_mark, mark, voxel, around, moment):
 
 
 @njit(cache=True)
-def nearest(x, y, z, limit, voxel, table_key, table_slot, mean):
+def nearest(x, y, z, limit, voxel, table_key, table_slot, around, mean):
     """Slot of the mean nearest to (x, y, z) and its squared distance, and a distance within which there is no other.
 
     The slot is −1 if no mean is within ``limit``. The search visits one cubic shell of voxels after the other, until
-    what they cover is farther than the nearest mean or the limit.
+    what they cover is farther than the nearest mean or the limit. `link` knows the first shells of a voxel.
     """
     inverse = 1.0 / voxel
     i, j, k = np.int64(np.floor(x * inverse)), np.int64(np.floor(y * inverse)), np.int64(np.floor(z * inverse))
     fx, fy, fz = x - i * voxel, y - j * voxel, z - k * voxel
     edge = min(fx, voxel - fx, fy, voxel - fy, fz, voxel - fz)
     slot, best, second, covered = np.int64(-1), np.inf, np.inf, edge
-    for shell in range(np.int64(limit * inverse) + 2):
+    own = find(pack(i, j, k), table_key, table_slot)
+    begin = 1
+    if own >= 0:
+        begin, covered = 2, voxel + edge
+        for neighbour in range(27):
+            other = around[own, neighbour]
+            if other >= 0:
+                px, py, pz = mean[other, 0] - x, mean[other, 1] - y, mean[other, 2] - z
+                d = px * px + py * py + pz * pz
+                if d < best:
+                    slot, best, second = np.int64(other), d, best
+                elif d < second:
+                    second = d
+    for shell in range(begin, np.int64(limit * inverse) + 2):
+        if best <= covered * covered or covered > limit:
+            break
         covered = shell * voxel + edge
         for a in range(-shell, shell + 1):
-            dx = max(a * voxel - fx, fx - (a + 1) * voxel, 0.0)
             for b in range(-shell, shell + 1):
-                dy = max(b * voxel - fy, fy - (b + 1) * voxel, 0.0)
                 inside = abs(a) < shell and abs(b) < shell
                 for c in range(-shell, shell + 1, 2 * shell if inside else 1):
-                    dz = max(c * voxel - fz, fz - (c + 1) * voxel, 0.0)
-                    if dx * dx + dy * dy + dz * dz > second:
-                        continue
                     other = find(pack(i + a, j + b, k + c), table_key, table_slot)
                     if other >= 0:
                         px, py, pz = mean[other, 0] - x, mean[other, 1] - y, mean[other, 2] - z
@@ -202,15 +212,15 @@ def nearest(x, y, z, limit, voxel, table_key, table_slot, mean):
                             slot, best, second = other, d, best
                         elif d < second:
                             second = d
-        if best <= covered * covered or covered > limit:
-            break
     if best > limit * limit:
         return np.int64(-1), best, min(np.sqrt(best), covered)
     return slot, best, min(np.sqrt(second), covered)
 
 
 @njit(cache=True)
-def correspond(source, T, limit, voxel, table_key, table_slot, mean, match, nearest_of, others_min, searched_from):
+def correspond(
+    source, T, limit, voxel, table_key, table_slot, around, mean, match, nearest_of, others_min, searched_from
+):  # fmt: skip
     """Write the slot of the mean nearest to each point under T to ``match (N,)``: −1 if none is within ``limit``.
 
     Returns the number of searches. As in `registration.target.correspond_points`, a point is searched for only if its
@@ -234,7 +244,7 @@ def correspond(source, T, limit, voxel, table_key, table_slot, mean, match, near
                 match[n] = known if d <= limit * limit else -1
                 continue
         # Slightly beyond the limit, so that points without a pair are not searched for every time.
-        slot, d, others_min[n] = nearest(qx, qy, qz, 1.05 * limit, voxel, table_key, table_slot, mean)
+        slot, d, others_min[n] = nearest(qx, qy, qz, 1.05 * limit, voxel, table_key, table_slot, around, mean)
         nearest_of[n], match[n] = slot, slot if d <= limit * limit else -1
         searched_from[n, 0], searched_from[n, 1], searched_from[n, 2] = qx, qy, qz
         searches += 1

@@ -105,8 +105,7 @@ class VoxelMap:
 
         Rows ``slots (N,)`` are computed, −1 is ignored; others are undefined. Valid until the next insertion.
         """
-        kernels.link(self._linked, self._size, self._key, *self._table, self._around)
-        self._linked = self._size
+        self._link()
         kernels.shapes(
             slots, floor_m2, self._shape, self._shape_mark, self._mark, self.voxel_m, self._around, self._moment
         )
@@ -118,4 +117,11 @@ class VoxelMap:
         It is −1 if none is within ``limit_m``. ``state`` of the last call for the same source saves searches, whose
         number is returned.
         """
-        return int(kernels.correspond(source, T, limit_m, self.voxel_m, *self._table, self._mean, match, *state))
+        self._link()
+        return int(
+            kernels.correspond(source, T, limit_m, self.voxel_m, *self._table, self._around, self._mean, match, *state)
+        )
+
+    def _link(self) -> None:
+        kernels.link(self._linked, self._size, self._key, *self._table, self._around)
+        self._linked = self._size

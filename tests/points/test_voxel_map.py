@@ -81,11 +81,11 @@ def test_many_insertions_equal_one():
     assert sum(array.nbytes for array in vars(grown).values() if isinstance(array, np.ndarray)) < 100e6
 
 
-@settings(max_examples=60, deadline=None)
-@given(
-    seed=st.integers(0, 10_000), voxel_m=st.sampled_from([0.1, 0.25, 1.0]), limit_m=st.sampled_from([0.05, 0.3, 1.0])
-)
-def test_the_nearest_mean_of_each_moving_point_is_found(seed, voxel_m, limit_m):
+@pytest.mark.kernels
+@settings(max_examples=20, deadline=None)
+@given(seed=st.integers(0, 10_000), sizes=st.sampled_from([(0.1, 0.05), (0.1, 0.3), (0.25, 0.8), (1.0, 1.0)]))
+def test_the_nearest_mean_of_each_moving_point_is_found(seed, sizes):
+    voxel_m, limit_m = sizes
     rng, voxels, n = np.random.default_rng(seed), VoxelMap(voxel_m), 20
     voxels.insert(rng.normal(size=(rng.integers(1, 150), 3)) * [1, 0.5, 0.1])
     source = rng.normal(size=(n, 3))
