@@ -19,6 +19,7 @@ RIGID_TOLERANCE = 1e-3
 """Largest deviation of RᵀR from the identity. Rounding to single precision or to text stays below it."""
 SAME_S = 1e-6
 """Stamps that differ by less than a microsecond are the same, at any epoch."""
+INTEGER_MAX = 2**63 - 1
 _CLOUD = "(N, 3) or (H, W, 3)"
 _RIGID = "a rigid transform (4, 4)"
 _LAST_ROW = np.array([0.0, 0.0, 0.0, 1.0])
@@ -69,9 +70,12 @@ def checked_number(
     infinite: bool = False,
 ) -> float:
     """A real number from ``low`` to ``high`` and greater than ``above``; infinity only if ``infinite``."""
-    is_number = isinstance(value, numbers.Real) and not isinstance(value, bool)
-    if is_number and above < value and low <= value <= high and (infinite or -math.inf < value < math.inf):
-        return float(value)
+    try:
+        number = float(value) if isinstance(value, numbers.Real) and not isinstance(value, bool) else math.nan
+    except OverflowError:  # of an integer
+        number = math.nan
+    if above < number and low <= number <= high and (infinite or -math.inf < number < math.inf):
+        return number
     kind = "positive " if above == 0 else ""
     kind += "" if infinite or high < math.inf else "finite "
     limits = [f"of at least {low:g}"] * (low > -math.inf) + [f"of at most {high:g}"] * (high < math.inf)
@@ -80,12 +84,11 @@ def checked_number(
     raise InputError(f"{name} = {shown(value)}: expected a {kind}number{''.join(f' {each}' for each in limits)}")
 
 
-def checked_integer(value: Any, name: str, low: int, high: int | None = None) -> int:
+def checked_integer(value: Any, name: str, low: int, high: int = INTEGER_MAX) -> int:
     """A whole number, also one of NumPy's, from ``low`` to ``high``."""
-    is_whole = isinstance(value, numbers.Integral) and not isinstance(value, bool)
-    if is_whole and low <= value and (high is None or value <= high):
+    if isinstance(value, numbers.Integral) and not isinstance(value, bool) and low <= int(value) <= high:
         return int(value)
-    limits = f"of at least {low}" if high is None else f"from {low} to {high}"
+    limits = f"from {low} to {high}" if high < INTEGER_MAX else f"of at least {low}, and of at most 63 bits"
     raise InputError(f"{name} = {shown(value)}: expected an integer {limits}")
 
 
@@ -159,10 +162,7 @@ def check_same_stamps(stamp_s: _Array, name: str, expected_s: _Array, of: str) -
 
 
 def checked_cloud(points: object, name: str = "points") -> _Array:
-    """A cloud ``(N, 3)`` or image ``(H, W, 3)``, metres, as float64 of the same shape; masked entries become NaN.
-
-    Raises `InputError` for any other shape and for values that are not real numbers.
-    """
+    """A cloud ``(N, 3)`` or image ``(H, W, 3)``, metres, as float64 of the same shape; masked entries become NaN."""
     array = _real(points, name, f"real numbers in an array {_CLOUD}")
     if array.ndim not in (2, 3) or array.shape[-1] != 3:
         raise InputError(f"{name}: an array of shape {array.shape}; expected {_CLOUD}, metres")

@@ -19,7 +19,7 @@ from steelnb.core.geometry import translated
 from steelnb.core.types import Array, IntArray, Segments, Trajectory
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class OdometryStep:
     """The result of one scan.
 
@@ -60,7 +60,7 @@ class OdometryStep:
         return f"OdometryStep({self.stamp_s:.3f} s, at {self.T_world_drone[:3, 3].round(3).tolist()}, {did})"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Estimate:
     """A corrected flight of K scans and the map built on the way.
 

@@ -12,7 +12,7 @@ GreyImage = NDArray[np.uint8]
 """``(H, W)``, 0 black to 255 white."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class CameraImages:
     """N grey-value images, each rendered or read on access.
 

@@ -23,7 +23,7 @@ def _span(stamp_s: Array) -> str:
     return f", {stamp_s[0]:.3f} to {stamp_s[-1]:.3f} s" if len(stamp_s) else ""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Trajectory:
     """Poses of the drone: ``stamp_s (N,)``, strictly increasing, and ``T_world_drone (N, 4, 4)``."""
 
@@ -82,7 +82,7 @@ GRAVITY = 9.81
 """m/s², towards −z of the world."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Imu:
     """Specific force ``(N, 3)`` in m/s² and angular rate ``(N, 3)`` in rad/s, drone frame, at ``stamp_s (N,)``."""
 
@@ -100,7 +100,7 @@ class Imu:
         return f"Imu({len(self.stamp_s)} readings{_span(self.stamp_s)})"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Scan:
     """One scan: points ``(H, W, 3)`` or ``(N, 3)`` in the sensor frame, metres; invalid returns are NaN.
 
@@ -121,7 +121,7 @@ class Scan:
         return f"Scan({self.stamp_s:.3f} s, points {self.points.shape}, {count} finite{fault})"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Flight:
     """The input of every estimator, from a simulation, a bag or a folder of scans. It contains no ground truth.
 
@@ -171,7 +171,7 @@ class Flight:
         return replace(self, scans=self.scans[part], prior=prior)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Lines:
     """Infinite lines: ``anchor (M, 3)``, unit ``direction (M, 3)``, number of points ``count (M,)``, and ``label
     (N,)``, the line of each input point or −1."""
@@ -192,7 +192,7 @@ class Lines:
         return f"Lines({len(self)} of {len(self.label)} points)"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Segments:
     """Line segments, metres: ``start (M, 3)``, ``end (M, 3)``, number of points ``count (M,)``, and ``radius (M,)``,
     the root mean square distance of these points from the axis."""

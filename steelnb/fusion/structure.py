@@ -11,7 +11,7 @@ from steelnb.core.checks import check_columns, check_length, checked_kind
 from steelnb.core.types import Array, IntArray, Segments
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Structure:
     """Bars and joints in the world frame, metres, z up.
 

@@ -29,7 +29,7 @@ from steelnb.hough.alternatives.refine import nearest_bar
 from steelnb.hough.lines import DX_PER_SPACING, spacing
 from steelnb.hough.whole_structure.search import MIN_VOTES
 from steelnb.points import VoxelMap, voxel_grid
-from steelnb.points.surfaces import Surface, Surfaces
+from steelnb.points.surfaces import Surface, surfaces_of
 
 CELL, CELL_VOXELS = 2.5, 1.5
 """Edge of the cells in which surfaces are sought, in multiples of the default voxel, and its minimum in voxels."""
@@ -56,7 +56,7 @@ OFF_MIN = 0.05
 TURN_MAX_RAD = math.radians(20)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class CloudBars:
     """The bars of a cloud, strongest first, and the surfaces that were left out.
 
@@ -103,7 +103,7 @@ def bars_of_cloud(
     """Find the bars of a cloud ``(N, 3)``, metres, z up, finite.
 
     Points are accumulated in voxels of edge ``voxel_m``, by default two thirds of the tube, and only voxels on ridges
-    of their weight remain: range noise spreads the rest. `Surfaces` of these are left out. Lines through what remains
+    of their weight remain: range noise spreads the rest. Surfaces are left out (`surfaces_of`). Lines through the rest
     are split at bends, refitted to all points, extended to their joints and merged (`fusion.candidates`,
     `fusion.joints`). A bar stands free (`freedom_of`), and if it is short, its ends meet other bars.
 
@@ -143,7 +143,7 @@ def _bars_in_tubes(points: Array, voxel_m: float, min_votes: int) -> CloudBars:
     voxels.insert(points)
     ridge = ridge_points(voxels, RIDGE_RADIUS_M, RIDGE_SHARE, CONTRACT_M, sum_m=SUM_VOXELS * voxel_m)
     ridge = voxel_grid(ridge, TUBE_M / math.sqrt(3))
-    surfaces = Surfaces.found_in(ridge, max(CELL * VOXEL_M, CELL_VOXELS * voxel_m))
+    surfaces = surfaces_of(voxels, ridge, max(CELL * VOXEL_M, CELL_VOXELS * voxel_m))
     free = ridge[surfaces.label_of(ridge) < 0]
     label = surfaces.label_of(points)
     off, bars = points[label < 0], Segments.empty()

@@ -28,11 +28,12 @@ Entry = tuple[int, str, Any]
 
 
 def check_target(path: Path, overwrite: bool = False) -> None:
-    """Raise `InputError` unless the suffix is .bag or .mcap, and `OutputError` if the path exists."""
+    """Raise `InputError` unless the suffix is .bag or .mcap, and `OutputError` if the path or its truth exists."""
     if path.suffix.lower() not in (".bag", ".mcap"):
         raise InputError(f"{path}: ending {path.suffix!r}; expected .bag or .mcap")
-    if os.path.isdir(path) or (os.path.exists(path) and not overwrite):
-        raise OutputError(f"{path}: exists already; expected a new name, or --force to overwrite a file")
+    for each in (path, truth_path(path)):  # the truth may be another recording's
+        if os.path.isdir(each) or (os.path.exists(each) and not overwrite):
+            raise OutputError(f"{each}: exists already; expected a new name, or --force to overwrite a file")
 
 
 @checks_arguments

@@ -39,7 +39,7 @@ OTHER_AXES = {
 """Names of columns: of an axis, around its letter, and other words for it."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Cloud:
     """Distinct finite points of a file.
 

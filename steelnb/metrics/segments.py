@@ -21,7 +21,7 @@ GAP_MAX_M = 0.1
 """Maximum gap between points along an observed part of a member."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Match:
     """Member of each of S segments, −1 for none, and the errors of the segment, NaN for none.
 
@@ -77,7 +77,7 @@ def match_members(
     return Match(member, angle, offset, matched_m, extent_m)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class SegmentScore:
     """Recall over the observed members, precision over the segments, and errors of the right segments.
 
@@ -122,8 +122,8 @@ def score_segments(
             parts = (grid >= low) & (grid <= high)
             duplicates += bool(parts.any() and covered[m, parts].mean() >= SHARE_MIN)
             covered[m] |= parts
-    seen = np.ones_like(covered) if seen is None else checked_shape(seen, "seen", covered.shape)
-    observed = None if observed is None else checked_shape(observed, "observed", (len(axes),))
+    seen = np.ones_like(covered) if seen is None else checked_shape(seen, "seen", covered.shape).astype(bool)
+    observed = None if observed is None else checked_shape(observed, "observed", (len(axes),)).astype(bool)
     found = (covered & seen).sum(axis=1) >= np.maximum(SHARE_MIN * seen.sum(axis=1), 1)
     recall = share(found if observed is None else found[observed])
     return SegmentScore(recall, share(right), right, duplicates, match.angle_rad[right], match.offset_m[right])
@@ -134,7 +134,7 @@ def share(values: NDArray[np.bool_]) -> float:
     return float(values.mean()) if len(values) else math.nan
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class SeenMembers:
     """The observed parts of the members of a tower in a cloud.
 

@@ -81,6 +81,7 @@ def run_all(
         raise InputError(
             f"{len(worlds)} flights, jobs = {jobs}: expected at least one of each; jobs = -1: one per core"
         )
+    jobs = jobs if jobs is None else min(jobs, len(worlds))
     found: dict[int, Any] = {}
 
     def within(share: float) -> None:

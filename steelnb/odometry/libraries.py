@@ -14,7 +14,7 @@ from steelnb.odometry.base import BaseOdometry, Outcome, Stopwatch
 from steelnb.settings import LibrarySettings
 
 POINTS_MIN = 10
-"""Scans with fewer returns are not registered."""
+"""Scans with fewer returns within range are not registered."""
 NEIGHBOURS = 10
 """Number of neighbours for a point's covariance, as in small_gicp's example."""
 FINER = 4
@@ -45,7 +45,7 @@ class PeerOdometry(BaseOdometry):
             self._last_prior = self._T_world_sensor = prior
         self._T_world_sensor = self._T_world_sensor @ (np.linalg.inv(self._last_prior) @ prior)
         self._last_prior = prior
-        if len(points) < POINTS_MIN:
+        if (np.linalg.norm(points, axis=1) < self.settings.preprocess.crop_m).sum() < POINTS_MIN:
             reason = "too few points"
         else:
             if self._register is None:

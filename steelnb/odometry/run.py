@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from steelnb.core.arguments import checks_arguments
-from steelnb.core.checks import checked_kind, checked_pose, shown
+from steelnb.core.checks import checked_kind, checked_points, checked_pose, shown
 from steelnb.core.errors import InputError
 from steelnb.core.estimates import Estimate, OdometryStep
 from steelnb.core.types import Flight, Scan, Segments, Trajectory
@@ -44,7 +44,7 @@ def run(flight: Flight, odometry: Odometry, on_step: OnStep | None = None, befor
         checked_kind(scan, f"{flight.name}, scan {k}", Scan)
         begin = time.perf_counter()
         with _naming(odometry, k):
-            step = odometry.update(scan, flight.prior.T_world_drone[k])
+            step = odometry.update(scan, flight.prior.T_world_drone[k].copy())  # which it may change
             update_s[k] = time.perf_counter() - begin
             # Checked again, as the odometry may have changed the array since.
             T_world_drone[k] = checked_pose(checked_kind(step, "its result", OdometryStep).T_world_drone, "its pose")
@@ -69,9 +69,11 @@ def run(flight: Flight, odometry: Odometry, on_step: OnStep | None = None, befor
 
 
 def _map_of(odometry: Odometry, method: str, default: Any) -> Any:
-    """What a method of the odometry returns, or the default if it has none of this name."""
-    found = getattr(odometry, method, None)
-    return found() if callable(found) else default
+    """What a method of the odometry returns, or the default if it has none of this name. Raises `InputError`."""
+    found, name = getattr(odometry, method, None), f"{type(odometry).__name__}.{method}()"
+    if not callable(found):
+        return default
+    return checked_kind(found(), name, Segments) if isinstance(default, Segments) else checked_points(found(), name)
 
 
 @contextmanager

@@ -49,7 +49,7 @@ def smooth_ranges(points: Array, radius_px: int = 1) -> Array:
     points, radius_px = checked_cloud(points), checked_integer(radius_px, "radius_px", 0)
     if points.ndim == 2:
         return points
-    return np.asarray(_sigma_filter(np.ascontiguousarray(points), radius_px))
+    return np.asarray(_sigma_filter(np.ascontiguousarray(points), min(radius_px, max(points.shape[:2]))))
 
 
 @njit(cache=True)

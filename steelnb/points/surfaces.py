@@ -4,6 +4,7 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
@@ -21,11 +22,16 @@ COVERED_MIN = 0.7
 NEAR, ASIDE_MAX = 1.2, 0.3
 """Maximum distance, in cells, of points of a surface from it, and maximum share of those around that are farther."""
 BAND = 1.5
-"""Points within this many cells of a surface belong to it; range noise spreads them."""
+"""Points within this many of the smallest cells of a surface belong to it; range noise spreads them."""
 TURN_MAX_RAD = math.radians(15)
 """Maximum angle between the normals of neighbouring cells of one surface."""
+NEW_MIN = 0.1
+"""Minimum share of a surface in wider cells that narrower ones have not found."""
 CELLS_MIN = 80
 """Minimum number of cells of a surface."""
+COARSER, DENSE_MIN, CLEAR_VOXELS = (2, 4), 4, 3
+"""See `surfaces_of`: wider cells, in multiples of the edge; number of points in a voxel of dense steel; and distance of
+what is sparse from it, in voxels, since range noise spreads points around a bar."""
 LEVEL_RAD = math.radians(30)
 """Maximum slope of a level surface."""
 
@@ -51,12 +57,12 @@ class Surface:
         return replace(self, centre=scale * self.centre, area_m2=scale**2 * self.area_m2, rms_m=scale * self.rms_m)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Surfaces:
-    """The cells of all surfaces: means ``point (C, 3)``, metres, unit ``normal (C, 3)`` and number of the surface
-    ``label (C,)``, largest first."""
+    """The cells of all surfaces: edge ``cell_m (C,)`` and mean ``point (C, 3)``, metres, unit ``normal (C, 3)``, and
+    number of the surface ``label (C,)``, those found first and the largest first."""
 
-    cell_m: float
+    cell_m: Array
     point: Array
     normal: Array
     label: IntArray
@@ -76,7 +82,7 @@ class Surfaces:
         point, normal, inner = _local_planes(key, mean, cell_m, around, *hash_table(key, len(key)))
         point, normal = point[inner], normal[inner]
         if not inner.any():
-            return cls(cell_m, point, normal, np.zeros(0, dtype=np.int64))
+            return cls(np.zeros(0), point, normal, np.zeros(0, dtype=np.int64))
         pair = cKDTree(point).query_pairs(2 * cell_m, output_type="ndarray")
         cosine = np.abs(np.einsum("pi,pi->p", normal[pair[:, 0]], normal[pair[:, 1]]))
         pair = pair[cosine > math.cos(TURN_MAX_RAD)]
@@ -86,7 +92,27 @@ class Surfaces:
         rank = np.empty(len(size), dtype=np.int64)
         rank[np.argsort(-size, kind="stable")] = np.arange(len(size))
         large = size[group] >= CELLS_MIN
-        return cls(cell_m, point[large], normal[large], rank[group[large]])
+        return cls(np.full(large.sum(), cell_m), point[large], normal[large], rank[group[large]])
+
+    def extended(self, points: Array, cell_m: float) -> "Surfaces":
+        """These, and those in a sparser cloud ``(N, 3)`` with wider cells of which `NEW_MIN` or more is new. They
+        replace the surfaces whose greater part they cover."""
+        wide = Surfaces.found_in(points, cell_m)
+        wide = wide._with(wide._share_of(self.label_of(wide.point) < 0) >= NEW_MIN)
+        kept = self._with(self._share_of(wide.label_of(self.point) >= 0) < 0.5)
+        pairs = [(getattr(kept, name), getattr(wide, name)) for name in ("cell_m", "point", "normal")]
+        cell, point, normal = map(np.concatenate, pairs)
+        return Surfaces(cell, point, normal, np.concatenate([kept.label, wide.label + len(kept)]))
+
+    def _share_of(self, is_so: NDArray[np.bool_]) -> Array:
+        """Share of the cells of each surface for which ``is_so (C,)``."""
+        return np.bincount(self.label, is_so, len(self)) / np.maximum(np.bincount(self.label, minlength=len(self)), 1)
+
+    def _with(self, chosen: NDArray[np.bool_]) -> "Surfaces":
+        """The ``chosen (S,)`` surfaces."""
+        cell = chosen[self.label]
+        label = (np.cumsum(chosen) - 1)[self.label[cell]]
+        return Surfaces(self.cell_m[cell], self.point[cell], self.normal[cell], label)
 
     def __len__(self) -> int:
         return int(self.label.max(initial=-1)) + 1
@@ -96,11 +122,12 @@ class Surfaces:
         label = np.full(len(points), -1, dtype=np.int64)
         if len(self.point) and len(points):
             reach_m = (DISC + 0.5) * self.cell_m
-            distance, nearest = cKDTree(self.point).query(points, distance_upper_bound=reach_m)
+            distance, nearest = cKDTree(self.point).query(points, distance_upper_bound=float(reach_m.max()))
             near = np.flatnonzero(np.isfinite(distance))
+            near = near[distance[near] < reach_m[nearest[near]]]
             cell = nearest[near]
             off = np.abs(np.einsum("ni,ni->n", points[near] - self.point[cell], self.normal[cell]))
-            on = off <= BAND * self.cell_m
+            on = off <= BAND * self.cell_m.min()
             label[near[on]] = self.label[cell[on]]
         return label
 
@@ -108,13 +135,29 @@ class Surfaces:
         """Each surface, with its number of the points whose surfaces are ``label (N,)``."""
         found, count = [], np.bincount(label[label >= 0], minlength=len(self))
         for k in range(len(self)):
-            cells = self.point[self.label == k]
+            cells, cell_m = self.point[self.label == k], float(self.cell_m[self.label == k][0])
             centre = cells.mean(axis=0)
             value, vector = np.linalg.eigh((cells - centre).T @ (cells - centre) / len(cells))
-            seen = np.floor((cells - centre) @ vector[:, 1:] / self.cell_m).astype(np.int64)
-            area_m2 = len(np.unique(seen, axis=0)) * self.cell_m**2
+            seen = np.floor((cells - centre) @ vector[:, 1:] / cell_m).astype(np.int64)
+            area_m2 = len(np.unique(seen, axis=0)) * cell_m**2
             found.append(Surface(centre, vector[:, 0], area_m2, math.sqrt(max(value[0], 0.0)), int(count[k])))
         return found
+
+
+def surfaces_of(voxels: VoxelMap, ridge: Array, cell_m: float) -> Surfaces:
+    """The surfaces of a cloud: in its ridges, and in wider cells in what is sparse and off dense steel. Ground that is
+    sampled more sparsely than the steel has gaps, and its points lie along many lines."""
+    found, thin = Surfaces.found_in(ridge, cell_m), voxels.means()
+    label, is_dense = found.label_of(thin), voxels.weights() >= DENSE_MIN
+    steel = thin[is_dense & (label < 0)]
+    is_sparse = ~is_dense
+    if len(steel):
+        distance = cKDTree(steel).query(thin[is_sparse], distance_upper_bound=CLEAR_VOXELS * voxels.voxel_m)[0]
+        is_sparse[is_sparse] = np.isinf(distance)
+    for wider in COARSER:
+        found = found.extended(thin[is_sparse | (label >= 0)], wider * cell_m)
+        label = found.label_of(thin)
+    return found
 
 
 @njit(cache=True)

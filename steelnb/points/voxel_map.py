@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from steelnb.core.arguments import checks_arguments
-from steelnb.core.checks import checked_cloud, checked_number
+from steelnb.core.checks import checked_cloud, checked_number, shown
 from steelnb.core.errors import InputError
 from steelnb.core.types import Array, IntArray
 from steelnb.points import voxel_kernels as kernels
@@ -86,7 +86,7 @@ class VoxelMap:
         """Means ``(M, 3)`` in metres of all voxels, or of the voxels ``slots``; without ``copy`` for use until the next
         insertion."""
         if slots is not None:
-            return self._mean[slots]
+            return self._mean[self._checked(slots, 0)]
         return self._mean[: self._size].copy() if copy else self._mean[: self._size]
 
     def weights(self) -> Array:
@@ -105,6 +105,7 @@ class VoxelMap:
 
         Rows ``slots (N,)`` are computed, −1 is ignored; others are undefined. Valid until the next insertion.
         """
+        slots = self._checked(slots, -1)
         self._link()
         kernels.shapes(
             slots, floor_m2, self._shape, self._shape_mark, self._mark, self.voxel_m, self._around, self._moment
@@ -117,10 +118,22 @@ class VoxelMap:
         It is −1 if none is within ``limit_m``. ``state`` of the last call for the same source saves searches, whose
         number is returned.
         """
+        n = len(source)
+        if [np.shape(each) for each in (source, match, *state)] != [(n, 3), (n,), (n,), (n,), (n, 3)]:
+            raise InputError(
+                f"source of shape {np.shape(source)}: expected ({n}, 3), and match and state of {n} points"
+            )
         self._link()
         return int(
             kernels.correspond(source, T, limit_m, self.voxel_m, *self._table, self._around, self._mean, match, *state)
         )
+
+    def _checked(self, slots: IntArray, low: int) -> IntArray:
+        """Slots of this map. Raises `InputError`: compiled code would read beyond its arrays."""
+        slots = np.asarray(slots)
+        if slots.dtype.kind not in "iu" or (slots.size and not low <= slots.min() <= slots.max() < self._size):
+            raise InputError(f"slots: {shown(slots.tolist())}; expected whole numbers from {low} to {self._size - 1}")
+        return slots
 
     def _link(self) -> None:
         kernels.link(self._linked, self._size, self._key, *self._table, self._around)

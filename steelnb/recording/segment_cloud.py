@@ -28,7 +28,7 @@ EXPLAINED_MIN = 0.5
 """The user is warned if bars explain a smaller share than this of the points that lie on no surface."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class SegmentReport:
     """``segments`` in the coordinates of the file, the longest first, with their ``freedom (B,)`` and ``width_m (B,)``
     (`CloudBars`).

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from steelnb.core.types import Array
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class RegistrationResult:
     """Pose and convergence of a registration.
 

@@ -37,7 +37,7 @@ class AnyTarget(Protocol):
     def search(self, source: Array, limit_m: float) -> Search: ...
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Target:
     """A cloud: its k-d tree and, in the order of the tree, normals ``(M, 3)`` and covariances ``(M, 6)`` in m².
 

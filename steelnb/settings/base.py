@@ -45,6 +45,12 @@ class Settings(BaseModel):
         except ValidationError as fault:
             raise InputError(describe_fault(type(self), fault)) from None
 
+    def __setattr__(self, name: str, value: Any) -> None:
+        raise InputError(f"{type(self).__name__}.{name}: settings do not change; replace({name}=...) returns a copy")
+
+    def __delattr__(self, name: str) -> None:
+        raise InputError(f"{type(self).__name__}.{name}: settings cannot be deleted")
+
     def replace(self, **changes: Any) -> Self:
         """A copy with some values changed and all values validated."""
         return type(self)(**{**{name: getattr(self, name) for name in type(self).model_fields}, **changes})

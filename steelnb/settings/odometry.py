@@ -5,7 +5,7 @@ from typing import Annotated, Any, ClassVar, Literal, Self, get_args
 
 from pydantic import AfterValidator, Field, model_validator
 
-from steelnb.core.checks import quoted
+from steelnb.core.checks import quoted, shown
 from steelnb.core.errors import InputError
 from steelnb.settings.base import NotNegative, OrNone, Positive, Settings
 from steelnb.settings.presets import method_preset, sensor_preset
@@ -37,6 +37,17 @@ class OdometrySettings(Settings):
     smooth: bool = False
 
     family: ClassVar[str]
+
+    def __init__(self, **values: Any) -> None:
+        if not hasattr(self, "family"):
+            raise InputError(f"{type(self).__name__}: of no family; OdometrySettings.preset(method) gives a method's")
+        super().__init__(**values)
+
+    def override(self, overrides: dict[str, Any]) -> Self:
+        """As for all settings; the method stays, since its other settings depend on it."""
+        if isinstance(overrides, dict) and overrides.get("method", self.method) != self.method:
+            raise InputError(f"method = {shown(overrides['method'])}: this is {self.method!r}; choose it by its preset")
+        return super().override(overrides)
 
     def lowered(self, by_m: float) -> Self:
         """These settings for a world whose zero is ``by_m`` higher."""

@@ -11,7 +11,7 @@ from pydantic import Field, model_validator
 from scipy.spatial.transform import Rotation
 
 from steelnb.core.types import Array, IntArray
-from steelnb.settings.base import NotNegative, Positive, Settings
+from steelnb.settings.base import Finite, NotNegative, Positive, Settings
 from steelnb.settings.presets import sensor_preset
 from steelnb.settings.report_plots import ReportPlot, checked_steps
 
@@ -30,8 +30,8 @@ class CameraSettings(Settings):
     rows: Annotated[int, Field(ge=1, le=4096)] = 64
     fov_horizontal_rad: Annotated[float, Field(gt=0, lt=math.pi)] = 2.04
     fov_vertical_rad: Annotated[float, Field(gt=0, lt=math.pi)] = 2.04
-    mount_m: tuple[float, float, float] = (0.06, 0.0, 0.0)
-    mount_rpy_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    mount_m: tuple[Finite, Finite, Finite] = (0.06, 0.0, 0.0)
+    mount_rpy_deg: tuple[Finite, Finite, Finite] = (0.0, 0.0, 0.0)
 
     @property
     def T_drone_sensor(self) -> Array:

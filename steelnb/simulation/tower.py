@@ -14,7 +14,7 @@ from steelnb.simulation.member_list import leg_half_width, listed_members
 from steelnb.simulation.members import ON_PLATE, Member, make_member, mesh_members, unit
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Tower:
     """``joints (J, 3)`` metres, world frame; ``members``; and the triangle mesh: ``vertices (V, 3)`` metres,
     ``triangles (T, 3)`` and the member of each, ``triangle_member (T,)``, `ON_PLATE` for a plate."""

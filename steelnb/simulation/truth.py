@@ -16,7 +16,7 @@ SCAN_RETURNS_MIN = 30
 pixels would not count as observed, and all but one to five at an eighth of that density."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Visibility:
     """Number of returns from each of the M members of a tower: ``slices`` holds, per member, the counts ``(S,)`` in
     slices of 5 cm along its axis, starting at its first joint."""
@@ -59,7 +59,7 @@ class SliceCounter:
         return Visibility(tuple(np.split(self._count.copy(), self._first[1:-1])))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Truth:
     """True ``trajectory`` at 125 Hz, the ``tower``, and the ``visibility`` of its members in the scans."""
 
