@@ -80,6 +80,7 @@ BAD = (
         ["run", "a.mcap", "--set", "preproces.voxel_leaf_m=1"],
         "preproces.voxel_leaf_m = 1: unknown setting, did you mean",
     ),
+    (["run", "a.mcap", "--set", "method=gicp"], "method = 'gicp': this is 'best'"),
     (["run", "a.mcap", "--set", "voxels"], "--set voxels: expected TABLE.NAME=VALUE"),
     (["run", "a.mcap", "--mount", "1,2"], "--mount 1,2: expected six numbers"),
     (["run", "a.mcap", "--range-max", "-1"], "crop_m = -1.0"),

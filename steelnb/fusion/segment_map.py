@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from steelnb.core.arguments import checks_arguments
+from steelnb.core.errors import InputError
 from steelnb.core.kernels import njit
 from steelnb.core.types import Array, IntArray, Segments
 from steelnb.settings import FusionSettings
@@ -97,8 +98,13 @@ class SegmentMap:
         """Add M segments in the world frame; returns the bar of the map that each was merged into ``(M,)``.
 
         A segment without a match starts a bar. Bars that match each other once they have grown are merged, the later
-        into the earlier. A ``segments`` object read before this call does not change.
+        into the earlier. A ``segments`` object read before this call does not change. Raises `InputError` if an end or
+        a radius is not finite, or a count not positive.
         """
+        if not (np.isfinite(new.start + new.end).all() and np.isfinite(new.radius).all() and (new.count > 0).all()):
+            raise InputError(
+                "new: an end or radius that is not finite, or a count below 1; expected segments of points"
+            )
         target = associate(new, self.segments, self.settings)
         fresh = np.flatnonzero(target < 0)
         target[fresh] = len(self) + np.arange(len(fresh))

@@ -26,6 +26,8 @@ EXTENT_MAX_M, SPACING_MAX_M = 500.0, 1.0
 
 COORDINATE_MAX_M = 1e8
 """No coordinate is larger: the earth is 4e7 m around. Drivers write such numbers for no return."""
+STEP_MAX_M, FAR_FROM_ZERO_M, ROUNDED_POINTS = 0.02, 1e4, 100
+"""Largest step between coordinates; those below the second are left as they are, as are few points."""
 LINES_COUNTED = 10
 """Minimum number of lines that a first column of consecutive whole numbers counts."""
 CHANNELS_MAX = 16
@@ -76,9 +78,26 @@ def read_cloud(path: Path | str) -> Cloud:
             raise InputError(
                 f"{path}: a spacing of {spacing_m:.3g} over {extent_m:.4g} looks like millimetres; expected metres"
             )
+    _check_steps(path, distinct)
     origin = shift_of(distinct.mean(axis=0))
     shifted = translated(distinct, -origin) if origin.any() else distinct
     return Cloud(shifted, origin, len(points) - len(finite), len(finite) - len(distinct))
+
+
+def _check_steps(path: Path | str, points: Array) -> None:
+    """Raise `InputError` if large coordinates are multiples of some centimetres: they were stored in single precision,
+    or with too few digits."""
+    for name, values in zip("xyz", points.T, strict=True):
+        if len(points) < ROUNDED_POINTS or not np.abs(values).max() > FAR_FROM_ZERO_M:
+            continue
+        different = np.unique(values)
+        step = float(np.diff(different).min(initial=np.inf))
+        steps = (different - different[0]) / step
+        if step > STEP_MAX_M and np.abs(steps - np.round(steps)).max() < 0.01:
+            raise InputError(
+                f"{path}: {name} is around {values.mean():.0f} in steps of {step:.3g} m, as of single precision; "
+                "expected doubles, or coordinates near zero"
+            )
 
 
 @checks_arguments

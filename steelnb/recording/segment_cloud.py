@@ -9,7 +9,7 @@ import numpy as np
 from steelnb.core.errors import InputError
 from steelnb.core.files import display_name, new_folder
 from steelnb.core.types import Array, Segments
-from steelnb.fusion.whole_cloud import CloudBars, bars_of_cloud
+from steelnb.fusion.whole_cloud import CloudBars, bars_of_cloud, default_tube
 from steelnb.hough.lines import spacing
 from steelnb.hough.whole_structure.search import MIN_VOTES, within
 from steelnb.io.clouds import Cloud, read_cloud
@@ -22,6 +22,8 @@ from steelnb.points.surfaces import Surface
 SURFACES_SHOWN = 5
 VOXELS_FEW = 10
 """If voxels leave fewer points than this many bars need, the message blames the voxels."""
+VOXELS_MAX = 12
+"""Maximum radius of a tube, in voxels: the time of the search grows with its cube."""
 FLAT_M = 0.1
 """Maximum root mean square distance of a flat surface from its plane."""
 EXPLAINED_MIN = 0.5
@@ -75,6 +77,9 @@ def segment_file(
         cloud = read_cloud(path)
         _check_length("voxel_m", voxel_m, cloud)
         _check_length("dx_m", dx_m, cloud)
+        least_m = (dx_m or default_tube(cloud.points)) / VOXELS_MAX
+        if voxel_m is not None and voxel_m < least_m:
+            raise InputError(f"voxel_m = {voxel_m}: expected at least {least_m:.2g} m, a twelfth of the tube (--dx)")
         apart_m = spacing(cloud.points)
         found = bars_of_cloud(cloud.points, dx_m, voxel_m, min_votes)
         found = found.take(np.argsort(-found.bars.length, kind="stable"))

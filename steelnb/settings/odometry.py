@@ -39,8 +39,8 @@ class OdometrySettings(Settings):
     family: ClassVar[str]
 
     def __init__(self, **values: Any) -> None:
-        if not hasattr(self, "family"):
-            raise InputError(f"{type(self).__name__}: of no family; OdometrySettings.preset(method) gives a method's")
+        if type(self) is OdometrySettings:
+            raise InputError("OdometrySettings: of no family; OdometrySettings.preset(method) gives those of a method")
         super().__init__(**values)
 
     def override(self, overrides: dict[str, Any]) -> Self:

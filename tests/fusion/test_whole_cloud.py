@@ -114,3 +114,15 @@ def test_a_bar_on_a_wall_is_not_free_and_its_width_is_that_of_its_points():
     assert freedom_of(bar, axis, width_m)[0] > 0.95
     wall = sheet(3.0, 2.0) - [0.0, 1.0, 0.0]
     assert freedom_of(np.concatenate([bar[:500], wall]), axis, width_m)[0] < 0.5
+
+
+@pytest.mark.parametrize("per_m2", [50, 200, 300])
+def test_ground_that_is_sampled_more_sparsely_than_the_steel_is_a_surface(per_m2):
+    rng, n = np.random.default_rng(0), 64 * per_m2
+    ground = np.column_stack([rng.uniform(-4, 4, (n, 2)), rng.normal(0, 0.01, n)])
+    turn, height = rng.uniform(0, 2 * np.pi, 40_000), rng.uniform(0, 6, 40_000)
+    pole = np.column_stack([0.04 * np.cos(turn), 0.04 * np.sin(turn), height])
+    found = bars_of_cloud(np.concatenate([ground, pole]))
+    assert len(found.bars) == 1
+    assert found.bars.length[0] == pytest.approx(6, abs=0.4)
+    assert (found.surface[:n] >= 0).mean() > 0.9

@@ -55,6 +55,9 @@ def test_existing_files_are_kept_unless_overwrite_is_set(tmp_path):
     assert path.read_text() == "kept"
     write_flight(path, made_up(), overwrite=True)
     assert len(read_flight(path)) == 6
+    (tmp_path / "b.truth.tum").write_text("another recording's")
+    with pytest.raises(OutputError, match=r"b.truth.tum: exists already"):
+        write_flight(tmp_path / "b.bag", made_up())
     with pytest.raises(InputError, match=r"ending '.txt'; expected .bag or .mcap"):
         write_flight(tmp_path / "a.txt", made_up())
 

@@ -81,6 +81,17 @@ def test_invalid_and_duplicate_points_are_dropped_and_map_coordinates_shifted(tm
     np.testing.assert_allclose(far.points, POINTS, atol=1e-6)
 
 
+def test_map_coordinates_in_single_precision_are_refused(tmp_path: Path) -> None:
+    tower = np.random.default_rng(1).uniform(0, [3, 3, 16], (500, 3)) + np.array([456_789.0, 5_412_345.0, 100.0])
+    np.save(tmp_path / "a.npy", tower.astype(np.float32))
+    np.savetxt(tmp_path / "b.xyz", tower, fmt="%.1f")
+    for name, step in (("a.npy", "x is around 456790 in steps of 0.0312"), ("b.xyz", "in steps of 0.1 m")):
+        with pytest.raises(InputError, match=f"{name}: .*{step}.*; expected doubles"):
+            read_cloud(tmp_path / name)
+    np.savetxt(tmp_path / "c.xyz", tower, fmt="%.2f")
+    assert len(read_cloud(tmp_path / "c.xyz")) == 500
+
+
 def test_a_cloud_in_millimetres_is_refused_and_a_large_one_in_metres_is_read(tmp_path: Path) -> None:
     np.save(tmp_path / "tower.npy", 1000 * POINTS)
     with pytest.raises(InputError, match=r"tower.npy: a spacing of .* over .* looks like millimetres; expected"):

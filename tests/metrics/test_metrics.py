@@ -79,7 +79,8 @@ def test_segment_scores_of_a_case_computed_by_hand():
     assert score.precision == pytest.approx(3 / 4)
     assert np.degrees(score.angle_rad) == pytest.approx([0, 0, 2], abs=1e-6)
     assert score.offset_m[:2] == pytest.approx([0.03, 0.04], abs=1e-6)
-    assert score_segments(found, AXES, observed=np.array([True, False, False])).recall == 1.0
+    for kind in (bool, int, np.uint8):
+        assert score_segments(found, AXES, observed=np.array([1, 0, 0]).astype(kind)).recall == 1.0
 
 
 @pytest.mark.parametrize(

@@ -4,7 +4,9 @@ import numpy as np
 import pytest
 
 from steelnb.core.errors import InputError
-from steelnb.odometry import make_odometry
+from steelnb.core.estimates import OdometryStep
+from steelnb.core.types import Flight, Scan, Trajectory
+from steelnb.odometry import make_odometry, run
 from steelnb.settings import METHODS, OdometrySettings
 
 CLOUD = np.random.default_rng(0).uniform(0.5, 1.4, (400, 3))
@@ -53,3 +55,37 @@ def test_masked_points_do_not_count_and_a_scan_in_millimetres_is_not_cropped_awa
     assert not odometry.update(hidden, np.eye(4)).used
     assert len(odometry.map_points()) == 0
     assert "no point within 6 m (nearest" in odometry.update(1000 * CLOUD, np.eye(4)).reason
+
+
+class Careless:
+    """Changes what it is given."""
+
+    points = np.zeros((5, 3))
+
+    def update(self, scan, T_world_drone_prior):
+        T_world_drone_prior[:3, 3] += 1.0
+        return OdometryStep(scan.stamp_s, T_world_drone_prior)
+
+    def map_points(self):
+        return self.points
+
+
+def test_an_odometry_cannot_change_the_flight_and_its_map_is_checked():
+    scans = [Scan(0.2 * k, CLOUD) for k in range(3)]
+    prior = Trajectory(np.array([0.0, 0.2, 0.4]), np.tile(np.eye(4), (3, 1, 1)))
+    flight = Flight(scans, prior, np.eye(4))
+    found = run(flight, Careless())
+    np.testing.assert_array_equal(found.corrected.position, 1.0)
+    np.testing.assert_array_equal(flight.prior.position, 0.0)
+    for points in (None, np.zeros((5, 2)), [[1.0, 2.0, np.nan]]):
+        careless = Careless()
+        careless.points = points
+        with pytest.raises(InputError, match=r"Careless.map_points\(\)"):
+            run(flight, careless)
+
+
+def test_settings_belong_to_a_family_and_keep_their_method():
+    with pytest.raises(InputError, match=r"OdometrySettings: of no family; OdometrySettings.preset\(method\)"):
+        OdometrySettings(method="best")
+    with pytest.raises(InputError, match="method = 'gicp': this is 'best'"):
+        OdometrySettings.preset("best").override({"method": "gicp"})

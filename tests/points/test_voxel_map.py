@@ -167,3 +167,15 @@ def test_voxels_in_a_row_have_different_buckets(step):
     keys = [kernels.pack(*(k * np.array(step) - 900)) for k in range(2000)]
     buckets = {kernels.bucket_of(key, (1 << 12) - 1) for key in keys}
     assert len(buckets) > 0.9 * 4096 * (1 - np.exp(-2000 / 4096))  # at most a tenth fewer than at random
+
+
+def test_slots_and_arrays_beyond_the_map_are_refused():
+    voxels = VoxelMap(VOXEL)
+    voxels.insert(next(frames(1)))
+    n = len(voxels)
+    for call in (lambda k: voxels.shapes(np.array([k])), lambda k: voxels.means(np.array([k]))):
+        for slot in (n, -2, 0.5):
+            with pytest.raises(InputError, match=r"slots: .*expected whole numbers from"):
+                call(slot)
+    with pytest.raises(InputError, match=r"source of shape \(9, 3\)"):
+        voxels.correspond(np.zeros((9, 3)), np.eye(4), 0.2, np.full(5, -1), SearchState.of(5))
