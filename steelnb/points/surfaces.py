@@ -30,8 +30,8 @@ NEW_MIN = 0.1
 CELLS_MIN = 80
 """Minimum number of cells of a surface."""
 COARSER, DENSE_MIN, CLEAR_VOXELS = (2, 4), 4, 3
-"""See `surfaces_of`: wider cells, in multiples of the edge; number of points in a voxel of dense steel; and distance of
-what is sparse from it, in voxels, since range noise spreads points around a bar."""
+"""See `surfaces_of`: wider cells, in multiples of the edge; number of points in a voxel of dense steel, or this part
+of the usual one; and distance of what is sparse from it, in voxels, since range noise spreads points around a bar."""
 LEVEL_RAD = math.radians(30)
 """Maximum slope of a level surface."""
 
@@ -68,18 +68,21 @@ class Surfaces:
     label: IntArray
 
     @classmethod
-    def found_in(cls, points: Array, cell_m: float) -> "Surfaces":
+    def found_in(cls, points: Array, cell_m: float, near_m: float | None = None) -> "Surfaces":
         """The surfaces of a finite cloud ``(N, 3)``, metres. Its points should be at most a cell apart, and their
         noise less than a cell.
 
         A cell lies on a surface if the points around it cover `COVERED_MIN` of a disc of `DISC` cells, and few are
-        farther from its plane. Cells with similar normals are connected; `CELLS_MIN` of them or more are a surface.
+        farther from its plane than ``near_m``, by default `NEAR` cells. Cells with similar normals are connected;
+        `CELLS_MIN` of them or more are a surface.
         """
         voxels = VoxelMap(cell_m)
         voxels.insert(points)
         mean, key = voxels.means(), voxels.keys()
         around = offsets_within(DISC * cell_m, cell_m)
-        point, normal, inner = _local_planes(key, mean, cell_m, around, *hash_table(key, len(key)))
+        point, normal, inner = _local_planes(
+            key, mean, cell_m, near_m or NEAR * cell_m, around, *hash_table(key, len(key))
+        )
         point, normal = point[inner], normal[inner]
         if not inner.any():
             return cls(np.zeros(0), point, normal, np.zeros(0, dtype=np.int64))
@@ -94,10 +97,10 @@ class Surfaces:
         large = size[group] >= CELLS_MIN
         return cls(np.full(large.sum(), cell_m), point[large], normal[large], rank[group[large]])
 
-    def extended(self, points: Array, cell_m: float) -> "Surfaces":
+    def extended(self, points: Array, cell_m: float, near_m: float) -> "Surfaces":
         """These, and those in a sparser cloud ``(N, 3)`` with wider cells of which `NEW_MIN` or more is new. They
         replace the surfaces whose greater part they cover."""
-        wide = Surfaces.found_in(points, cell_m)
+        wide = Surfaces.found_in(points, cell_m, near_m)
         wide = wide._with(wide._share_of(self.label_of(wide.point) < 0) >= NEW_MIN)
         kept = self._with(self._share_of(wide.label_of(self.point) >= 0) < 0.5)
         pairs = [(getattr(kept, name), getattr(wide, name)) for name in ("cell_m", "point", "normal")]
@@ -147,23 +150,25 @@ class Surfaces:
 def surfaces_of(voxels: VoxelMap, ridge: Array, cell_m: float) -> Surfaces:
     """The surfaces of a cloud: in its ridges, and in wider cells in what is sparse and off dense steel. Ground that is
     sampled more sparsely than the steel has gaps, and its points lie along many lines."""
-    found, thin = Surfaces.found_in(ridge, cell_m), voxels.means()
-    label, is_dense = found.label_of(thin), voxels.weights() >= DENSE_MIN
+    found, thin, weight = Surfaces.found_in(ridge, cell_m), voxels.means(), np.sort(voxels.weights())
+    # Half of the points lie in voxels with at least this number.
+    usual = weight[np.searchsorted(np.cumsum(weight), weight.sum() / 2)]
+    label, is_dense = found.label_of(thin), voxels.weights() >= min(DENSE_MIN, usual / DENSE_MIN)
     steel = thin[is_dense & (label < 0)]
     is_sparse = ~is_dense
     if len(steel):
         distance = cKDTree(steel).query(thin[is_sparse], distance_upper_bound=CLEAR_VOXELS * voxels.voxel_m)[0]
         is_sparse[is_sparse] = np.isinf(distance)
     for wider in COARSER:
-        found = found.extended(thin[is_sparse | (label >= 0)], wider * cell_m)
+        found = found.extended(thin[is_sparse | (label >= 0)], wider * cell_m, NEAR * cell_m)
         label = found.label_of(thin)
     return found
 
 
 @njit(cache=True)
-def _local_planes(centre, mean, cell, around, key, slot):  # type: ignore[no-untyped-def]
+def _local_planes(centre, mean, cell, reach, around, key, slot):  # type: ignore[no-untyped-def]
     """Plane through the cells around each cell: a point of it ``(M, 3)``, its normal ``(M, 3)``, and whether it is
-    covered ``(M,)``."""
+    covered ``(M,)`` by those within ``reach`` of it."""
     count = len(centre)
     point, normal, inner = np.zeros((count, 3)), np.zeros((count, 3)), np.zeros(count, np.bool_)
     others, is_covered = np.empty(len(around), np.int64), np.zeros(64, np.bool_)
@@ -199,7 +204,7 @@ def _local_planes(centre, mean, cell, around, key, slot):  # type: ignore[no-unt
         near = 0
         for k in range(found):
             x, y, z = mean[others[k], 0] - sx, mean[others[k], 1] - sy, mean[others[k], 2] - sz
-            if abs(x * nx + y * ny + z * nz) <= NEAR * cell:
+            if abs(x * nx + y * ny + z * nz) <= reach:
                 near += 1
                 # Cells of the disc, seen along the normal: 8 x 8 of them.
                 i = math.floor((x * ux + y * uy + z * uz) / cell) + 4
