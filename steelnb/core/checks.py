@@ -88,7 +88,7 @@ def checked_integer(value: Any, name: str, low: int, high: int = INTEGER_MAX) ->
     """A whole number, also one of NumPy's, from ``low`` to ``high``."""
     if isinstance(value, numbers.Integral) and not isinstance(value, bool) and low <= int(value) <= high:
         return int(value)
-    limits = f"from {low} to {high}" if high < INTEGER_MAX else f"of at least {low}, and of at most 63 bits"
+    limits = f"from {low} to {high}" if high < INTEGER_MAX else f"of at least {low} and below 2**63"
     raise InputError(f"{name} = {shown(value)}: expected an integer {limits}")
 
 

@@ -31,7 +31,7 @@ def check_target(path: Path, overwrite: bool = False) -> None:
     """Raise `InputError` unless the suffix is .bag or .mcap, and `OutputError` if the path or its truth exists."""
     if path.suffix.lower() not in (".bag", ".mcap"):
         raise InputError(f"{path}: ending {path.suffix!r}; expected .bag or .mcap")
-    for each in (path, path.with_name(f"{path.stem}.truth.tum")):  # which may be another recording's
+    for each in (path, truth_path(path)):  # the truth may be another recording's
         if os.path.isdir(each) or (os.path.exists(each) and not overwrite):
             raise OutputError(f"{each}: exists already; expected a new name, or --force to overwrite a file")
 

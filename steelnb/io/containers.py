@@ -6,6 +6,7 @@ message definition in a recording, fails if one of them cannot be parsed, and ta
 
 import functools
 import heapq
+import os
 import re
 from collections.abc import Iterator
 from pathlib import Path, PurePath
@@ -49,7 +50,7 @@ def typestore(ros: int) -> Any:
 
 def is_bag(path: Path) -> bool:
     """Whether a path looks like a bag: a file by its suffix, a folder by its metadata or by parts without clouds."""
-    if not path.is_dir():
+    if not os.path.isdir(path):
         return path.name.lower().removesuffix(ZSTD).endswith(SUFFIXES)
     if (path / "metadata.yaml").is_file():
         return True

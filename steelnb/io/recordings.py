@@ -123,7 +123,7 @@ def read_truth(path: Path | str, *, truth: str | None = None) -> Trajectory | No
 def truth_path(path: Path) -> Path:
     """Path of the truth of a recording: X.truth.tum for X.bag and for the folder X."""
     path = path.resolve()
-    return path.with_name(f"{path.stem if is_bag(path) and not path.is_dir() else path.name}.truth.tum")
+    return path.with_name(f"{path.stem if is_bag(path) and not os.path.isdir(path) else path.name}.truth.tum")
 
 
 class Scans(Sequence[Scan]):

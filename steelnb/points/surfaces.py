@@ -150,10 +150,10 @@ class Surfaces:
 def surfaces_of(voxels: VoxelMap, ridge: Array, cell_m: float) -> Surfaces:
     """The surfaces of a cloud: in its ridges, and in wider cells in what is sparse and off dense steel. Ground that is
     sampled more sparsely than the steel has gaps, and its points lie along many lines."""
-    found, thin, weight = Surfaces.found_in(ridge, cell_m), voxels.means(), np.sort(voxels.weights())
-    # Half of the points lie in voxels with at least this number.
-    usual = weight[np.searchsorted(np.cumsum(weight), weight.sum() / 2)]
-    label, is_dense = found.label_of(thin), voxels.weights() >= min(DENSE_MIN, usual / DENSE_MIN)
+    found, thin, weight = Surfaces.found_in(ridge, cell_m), voxels.means(), voxels.weights()
+    ordered = np.sort(weight)
+    usual = ordered[np.searchsorted(np.cumsum(ordered), weight.sum() / 2)]  # half of the points lie in fuller voxels
+    label, is_dense = found.label_of(thin), weight >= min(DENSE_MIN, usual / DENSE_MIN)
     steel = thin[is_dense & (label < 0)]
     is_sparse = ~is_dense
     if len(steel):

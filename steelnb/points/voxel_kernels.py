@@ -172,6 +172,14 @@ def shapes(slots, floor, value, value_mark, mark, voxel, around, moment):
 
 
 @njit(cache=True)
+def _nearer(other, x, y, z, mean, slot, best, second):
+    """The nearest slot and the two smallest squared distances, with those of another slot."""
+    px, py, pz = mean[other, 0] - x, mean[other, 1] - y, mean[other, 2] - z
+    d = px * px + py * py + pz * pz
+    return (other, d, best) if d < best else (slot, best, min(d, second))
+
+
+@njit(cache=True)
 def nearest(x, y, z, limit, voxel, table_key, table_slot, around, mean):
     """Slot of the mean nearest to (x, y, z) and its squared distance, and a distance within which there is no other.
 
@@ -190,12 +198,7 @@ def nearest(x, y, z, limit, voxel, table_key, table_slot, around, mean):
         for neighbour in range(27):
             other = around[own, neighbour]
             if other >= 0:
-                px, py, pz = mean[other, 0] - x, mean[other, 1] - y, mean[other, 2] - z
-                d = px * px + py * py + pz * pz
-                if d < best:
-                    slot, best, second = np.int64(other), d, best
-                elif d < second:
-                    second = d
+                slot, best, second = _nearer(np.int64(other), x, y, z, mean, slot, best, second)
     for shell in range(begin, np.int64(limit * inverse) + 2):
         if best <= covered * covered or covered > limit:
             break
@@ -206,12 +209,7 @@ def nearest(x, y, z, limit, voxel, table_key, table_slot, around, mean):
                 for c in range(-shell, shell + 1, 2 * shell if inside else 1):
                     other = find(pack(i + a, j + b, k + c), table_key, table_slot)
                     if other >= 0:
-                        px, py, pz = mean[other, 0] - x, mean[other, 1] - y, mean[other, 2] - z
-                        d = px * px + py * py + pz * pz
-                        if d < best:
-                            slot, best, second = other, d, best
-                        elif d < second:
-                            second = d
+                        slot, best, second = _nearer(other, x, y, z, mean, slot, best, second)
     if best > limit * limit:
         return np.int64(-1), best, min(np.sqrt(best), covered)
     return slot, best, min(np.sqrt(second), covered)
