@@ -1,14 +1,11 @@
 """The bars of a merged cloud, without scans and poses: lines on ridges of its density, surfaces left out."""
 
-import itertools
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from steelnb.core.robust import geman_mcclure
 from steelnb.core.types import Array, IntArray, Segments
 from steelnb.fusion.candidates import (
     CONTRACT_M,
@@ -23,7 +20,8 @@ from steelnb.fusion.candidates import (
     merge_pieces,
     split_bends,
 )
-from steelnb.fusion.joints import REACH_M, TILT_DETERMINED_RAD, between_joints, find_joints
+from steelnb.fusion.joints import REACH_M, between_joints, find_joints
+from steelnb.fusion.refit import FIT_TUBES, refitted, widths_of
 from steelnb.fusion.ridges import ridge_points
 from steelnb.hough.alternatives.refine import nearest_bar
 from steelnb.hough.lines import DX_PER_SPACING, spacing
@@ -41,19 +39,15 @@ SLICE_M, REACH = 0.1, 3.0
 """Slices in which the freedom is measured, and how many half-widths around the axis."""
 SURE_M = 0.8
 """A bar that is shorter than this needs a bar at each end: where a flight has seen half of a member, it lies askew."""
-HALF_WIDTH_SHARE = 0.9
-"""Share of a bar's points that lie within half its width of its axis."""
-FIT_TUBES, FIT_MIN, FIT_ROUNDS, FIT_SCALE, BEND_SHARE = 1.5, 8, 3, 1.5, 0.95
-"""See `refitted`: distance of points in tube radii, their minimum number, rounds of weights, and the scale of these in
-median distances; and ``share_max`` in `split_bends`: all points tell bends that are small beside the section."""
+BEND_SHARE = 0.95
+"""``share_max`` in `split_bends`: all points tell bends that are small beside the section."""
 TUBES_MIN = 40
 """Minimum size of a cloud in tubes: the bars of a small model are thinner than those of a tower."""
 WIDER, WIDTH_MAX, KEPT_MIN = (2, 4), 3.0, 0.9
 """Wider tubes to try, in multiples of the default; the maximum median width of bars that fit in a tube, in its radii;
-and the minimum length of theirs, as a share of the default's."""
+and the minimum share of the default's length that lies inside theirs."""
 OFF_MIN = 0.05
 """A cloud with a smaller share of its points off all surfaces has no bars worth a search with wider tubes."""
-TURN_MAX_RAD = math.radians(20)
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,6 +81,15 @@ class CloudBars:
         """Whether less than `OFF_MIN` of the points lie on no surface."""
         return float((self.surface < 0).mean()) < OFF_MIN
 
+    def share_inside(self, bars: Segments) -> float:
+        """Share of the length of other bars that lies inside these: one wide bar may hold several lines along its
+        sides. 1 if there are none."""
+        if not len(bars):
+            return 1.0
+        ends = zip(bars.start, bars.end, bars.length, strict=True)
+        middles = np.concatenate([np.linspace(a, b, 2 + int(length / SLICE_M))[:-1] for a, b, length in ends])
+        return float((nearest_bar(middles, self.bars, 0.5 * WIDTH_MAX * self.tube_m, self.tube_m) >= 0).mean())
+
     def scaled(self, scale: float) -> "CloudBars":
         """The same with all lengths multiplied."""
         bars = replace(
@@ -115,8 +118,7 @@ def bars_of_cloud(
     tries = (_bars_at_scale(points, each * narrow_m / TUBE_M, voxel_m, min_votes) for each in (1, *WIDER))
     found = next(tries)
     if tube_m is None and not found.fit_tubes and not found.all_on_surfaces:
-        enough_m = KEPT_MIN * float(found.bars.length.sum())
-        found = next((each for each in tries if each.fit_tubes and each.bars.length.sum() >= enough_m), found)
+        found = next((each for each in tries if each.fit_tubes and each.share_inside(found.bars) >= KEPT_MIN), found)
     return found
 
 
@@ -165,58 +167,6 @@ def _tied(bars: Segments, points: Array, is_weak: NDArray[np.bool_] | None = Non
     if is_weak is not None:
         tied = between_joints(tied, joint, tie, is_weak)
     return merge_pieces(tied, width_m, RISE_M)
-
-
-def refitted(points: Array, bars: Segments) -> tuple[Segments, NDArray[np.bool_]]:
-    """The bars, each along the principal axis of the ``points (N, 3)`` that are nearest to it, and a mask ``(B,)`` of
-    those whose points do not determine their direction.
-
-    Contracted voxels give the direction of a short bar to some ten degrees only, its points to a few. Points have
-    Geman-McClure weights, since some of them lie on bars that were not found. A bar is extended to those past its ends,
-    up to a tube's radius. One that would turn by more than `TURN_MAX_RAD` keeps its axis.
-    """
-    start, end, is_weak = bars.start.copy(), bars.end.copy(), np.ones(len(bars), dtype=bool)
-    for bar, own in enumerate(_own_points(points, bars, FIT_TUBES * TUBE_M, TUBE_M)):
-        if len(own) < FIT_MIN:
-            continue
-        weight = np.ones(len(own))
-        for _ in range(FIT_ROUNDS):
-            mean = weight @ own / weight.sum()
-            offset = own - mean
-            value, vector = np.linalg.eigh((weight[:, None] * offset).T @ offset / weight.sum())
-            axis = vector[:, 2]
-            squared = ((offset - (offset @ axis)[:, None] * axis) ** 2).sum(axis=1)
-            weight, _ = geman_mcclure(squared, max(FIT_SCALE * math.sqrt(np.median(squared)), 1e-6))
-        axis = axis * np.sign(axis @ bars.direction[bar])
-        if axis @ bars.direction[bar] < math.cos(TURN_MAX_RAD):
-            continue
-        along = offset @ axis
-        low, high = ((each[bar] - mean) @ axis for each in (bars.start, bars.end))
-        start[bar], end[bar] = mean + min(low, along.min()) * axis, mean + max(high, along.max()) * axis
-        tilt = math.sqrt(0.5 * max(value[0] + value[1], 0.0) / max(value[2] * len(own), 1e-12))
-        is_weak[bar] = tilt > TILT_DETERMINED_RAD
-    return replace(bars, start=start, end=end), is_weak
-
-
-def _own_points(points: Array, bars: Segments, distance_m: float, margin_m: float = 0.0) -> Iterator[Array]:
-    """For each bar, the points ``(K, 3)`` within this distance of its axis that are nearer to it than to others. An
-    axis extends ``margin_m`` past the ends of its bar."""
-    nearest = nearest_bar(points, bars, distance_m, margin_m)
-    order = np.argsort(nearest, kind="stable")
-    for first, last in itertools.pairwise(np.searchsorted(nearest[order], np.arange(len(bars) + 1))):
-        yield points[order[first:last]]
-
-
-def widths_of(points: Array, bars: Segments) -> Array:
-    """Width ``(B,)`` of each bar, metres: twice the distance from its axis within which `HALF_WIDTH_SHARE` of its
-    points lie. These are the ``points (N, 3)`` that are nearest to its axis and within two tube radii of it."""
-    width_m = np.full(len(bars), 2 * TUBE_M)
-    for bar, own in enumerate(_own_points(points, bars, 2 * TUBE_M)):
-        if len(own):
-            offset = own - bars.start[bar]
-            across = offset - (offset @ bars.direction[bar])[:, None] * bars.direction[bar]
-            width_m[bar] = 2 * np.quantile(np.linalg.norm(across, axis=1), HALF_WIDTH_SHARE)
-    return width_m
 
 
 def freedom_of(points: Array, bars: Segments, width_m: Array) -> Array:

@@ -9,6 +9,7 @@ import numpy as np
 from steelnb.core.errors import InputError
 from steelnb.core.files import display_name, new_folder
 from steelnb.core.types import Array, Segments
+from steelnb.fusion.candidates import LENGTH_MIN_M, TUBE_M
 from steelnb.fusion.whole_cloud import CloudBars, bars_of_cloud, default_tube
 from steelnb.hough.lines import spacing
 from steelnb.hough.whole_structure.search import MIN_VOTES, within
@@ -98,7 +99,8 @@ def segment_file(
     summary = (
         f"read      {display_name(path)}: {len(cloud)} points ({cloud.duplicates} duplicates and "
         f"{cloud.invalid} invalid ones dropped), {apart_m:.3g} m apart",
-        f"settings  voxel {voxel:.3g} m, dx {dx:.3g} m: members closer than {2 * dx:.2g} m to each other are one",
+        f"settings  voxel {voxel:.3g} m, dx {dx:.3g} m: members closer than {2 * dx:.2g} m to each other are one, "
+        f"and those below {(2 + LENGTH_MIN_M / TUBE_M) * dx:.2g} m are not found",
         *_surface_lines(found.surfaces),
         f"found     {len(bars)} bars, {bars.length.sum():.1f} m in all, the longest "
         f"{bars.length.max(initial=0):.1f} m, in {time.perf_counter() - began:.1f} s",

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from steelnb.core.types import Segments
-from steelnb.fusion.whole_cloud import bars_of_cloud, freedom_of, widths_of
+from steelnb.fusion.refit import widths_of
+from steelnb.fusion.whole_cloud import bars_of_cloud, freedom_of
 from steelnb.metrics.segments import match_members
 from steelnb.points import voxel_grid
 from tests.lattice import lattice, scanned
@@ -46,6 +47,16 @@ def test_upright_cylinders_of_any_width_are_bars(radius_m):
     assert len(found.bars) == 4
     assert found.bars.length.min() > 7
     assert found.width_m == pytest.approx(np.full(4, 2 * radius_m), abs=0.05)
+
+
+@pytest.mark.parametrize("per_m2", [2000, 20000])
+@pytest.mark.parametrize("radius_m", [0.1, 0.15, 0.2])
+def test_a_pipe_that_is_seen_from_one_side_is_one_bar(radius_m, per_m2):
+    rng = np.random.default_rng(4)
+    turn = rng.uniform(0, np.pi, int(np.pi * radius_m * 4 * per_m2))
+    side = radius_m * np.column_stack([np.cos(turn), np.sin(turn)])
+    points = np.column_stack([side, rng.uniform(0, 4, len(turn))]) + rng.normal(scale=0.005, size=(len(turn), 3))
+    assert bars_of_cloud(points).bars.length == pytest.approx([4.0], abs=0.1)
 
 
 @pytest.mark.parametrize("voxel_m", [0.04, 0.1])
