@@ -46,16 +46,16 @@ def _touching_pairs(corner, plane):
             low[i, k] = min(corner[i, 0, k], corner[i, 1, k], corner[i, 2, k]) - TOUCH_M
             high[i, k] = max(corner[i, 0, k], corner[i, 1, k], corner[i, 2, k]) + TOUCH_M
     pair = np.empty((1024, 2), np.int64)
-    along_x = np.argsort(low[:, 0])  # a triangle can only touch those that begin before it ends
+    along_z = np.argsort(low[:, 2])  # a triangle can only touch those that begin before it ends; a tower is tall
     for place in range(count):
-        i = along_x[place]
+        i = along_z[place]
         for later in range(place + 1, count):
-            j = along_x[later]
-            if low[j, 0] > high[i, 0]:
+            j = along_z[later]
+            if low[j, 2] > high[i, 2]:
                 break
             if (
-                low[i, 1] <= high[j, 1] and low[j, 1] <= high[i, 1]
-                and low[i, 2] <= high[j, 2] and low[j, 2] <= high[i, 2]
+                low[i, 0] <= high[j, 0] and low[j, 0] <= high[i, 0]
+                and low[i, 1] <= high[j, 1] and low[j, 1] <= high[i, 1]
                 and (_edge_meets(corner, plane, i, j) or _edge_meets(corner, plane, j, i))
             ):  # fmt: skip
                 if size == len(pair):
