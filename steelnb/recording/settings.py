@@ -33,6 +33,9 @@ LENGTHS = {
 }  # fmt: skip
 """Settings that scale with the distance of the points, and the exponent of the scale in each."""
 
+CALIBRATION = ("tof.range_scale", "tof.range_offset_m", "tof.range_scale_sigma", "tof.range_offset_sigma_m")
+"""The settings of the sensor that a recording needs."""
+
 
 @dataclass(frozen=True)
 class Scene:
@@ -102,12 +105,19 @@ def recording_settings(
     """Settings of odometry and reconstruction for a recording, from the preset of a sensor.
 
     ``scene`` adapts lengths and floor to the first scans of a flight. ``range_max_m``, the crop in all directions, and
-    ``overrides`` take precedence over it. Raises `InputError`.
+    ``overrides`` take precedence over it. Raises `InputError`, also for settings of the simulation alone.
     """
     preset = ExperimentSettings.preset(noise="none", sensor=sensor, method=method)
     found = scene.overrides(preset) if scene is not None else {}
     found |= {"preprocess.crop_m": range_max_m} if range_max_m is not None else {}
     settings = preset.override(found | dict(overrides or {}))
+    for name in overrides or {}:
+        table = name.partition(".")[0]
+        if table in ExperimentSettings.model_fields and table != "odometry" and name not in CALIBRATION:
+            raise InputError(
+                f"{name}: a setting of simulated flights, which changes nothing in a recording; expected one of the"
+                f" odometry, {', '.join(CALIBRATION)}, or --range-max for the range"
+            )
     seen, before = settings.odometry.preprocess, preset.odometry.preprocess
     also = {"range_max_m": seen.crop_m} if seen.crop_m != before.crop_m else {}
     also |= {"floor_m": seen.floor_m} if seen.floor_m != before.floor_m else {}
