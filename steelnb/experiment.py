@@ -147,6 +147,7 @@ def broken_off(settings: ExperimentSettings) -> Flight | None:
     return simulate(settings.override({**still, "tof.draw": settings.tof.draw + BROKEN_OFF_DRAW}))[0]
 
 
+@checks_arguments
 def draws(settings: ExperimentSettings, count: int) -> Iterator[tuple[ExperimentSettings, Flight, Truth]]:
     """``count`` draws of the sensor's noise on one flight, with the same drift: settings, flight and truth of each.
 

@@ -14,6 +14,7 @@ from steelnb import (
     metrics,
     odometry,
     planning,
+    plots,
     points,
     registration,
     settings,
@@ -26,6 +27,7 @@ from steelnb.core.estimates import OdometryStep
 from steelnb.core.kernels import compiling
 from steelnb.core.types import Flight, Scan, Segments, Trajectory
 from steelnb.hough.alternatives.methods import find_bars_by
+from steelnb.notebook import study
 
 CLOUD = np.random.default_rng(0).uniform(-1, 1, (60, 3))
 POSES = np.tile(np.eye(4), (3, 1, 1))
@@ -33,6 +35,7 @@ SCANS = [Scan(float(k), CLOUD) for k in range(3)]
 FLIGHT = Flight(SCANS, Trajectory(np.arange(3.0), POSES), np.eye(4))
 PLANNED = settings.FlightSettings.preset("planned")
 NAN = float("nan")
+POINTS = registration.make_target(CLOUD, "point")
 AXES = np.array([[[0.0, 0, 0], [0, 0, 1]]])
 CROP, FUSION = settings.PreprocessSettings(), settings.FusionSettings()
 ICP = settings.OdometrySettings.preset("icp")
@@ -94,7 +97,7 @@ def test_clouds_of_another_kind(take, cloud):
         (lambda: fusion.smooth(FLIGHT, None), "estimate = None: expected Estimate"),
         (lambda: fusion.reconstruct(SCANS, POSES[:2]), r"T_world_drone: .*expected \(3, 4, 4\)"),
         (lambda: fusion.reconstruct(SCANS, 2 * POSES), r"T_world_drone\[0\]: last row"),
-        (lambda: fusion.reconstruct(SCANS, POSES, "mount"), "T_drone_sensor: str"),
+        (lambda: fusion.reconstruct(SCANS, POSES, "mount"), "T_drone_sensor = .mount.: expected an array"),
         (lambda: fusion.reconstruct(iter(SCANS), POSES), "scans: list_iterator"),
         (lambda: metrics.score_trajectory(CLOUD, FLIGHT.prior), "estimate = ndarray: expected Trajectory"),
         (lambda: metrics.largest_slip(np.zeros(1), 5), "1 scans; expected at least two"),
@@ -142,6 +145,20 @@ def test_clouds_of_another_kind(take, cloud):
         (lambda: io.read_truth(b"flight.bag"), "path = bytes: expected a path or a text"),
         (lambda: io.write_flight("flight.mcap", None), "flight = None: expected Flight, as from read_flight"),
         (lambda: io.write_structure(Segments.empty(), "bars.json"), "structure = .*: expected Structure"),
+        (lambda: io.write_tum("flight.tum", CLOUD), "trajectory = ndarray: expected Trajectory"),
+        (lambda: io.write_segments(Segments.empty(), "bars.csv", np.ones((3, 2))), r"sigma_m: .*expected \(0, 2\)"),
+        (lambda: io.write_segments(Segments.empty(), "bars.csv", more={"width": [1.0]}), "width: 1; expected 0"),
+        (lambda: registration.icp_as_pcl(CLOUD, CLOUD, 1.0, 5, 1e-3), "target = ndarray: expected Target"),
+        (lambda: registration.icp_as_pcl(CLOUD, POINTS, 0.0, 5, 1e-3), "max_correspondence_m = 0.0"),
+        (lambda: registration.gicp_as_pcl(CLOUD, np.ones((60, 6)), POINTS, 1.0, 5, 1e-3), "without covariances"),
+        (lambda: registration.gicp_as_pcl(CLOUD, CLOUD, POINTS, 1.0, 5, 1e-3), r"covariance: .*expected \(60, 6\)"),
+        (lambda: list(experiment.draws(settings.ExperimentSettings.preset(), "4")), "count = '4': expected an integer"),
+        (lambda: study.run_study(None), "runs = None: expected a sequence"),
+        (lambda: study.run_study(["best"]), "runs = 'best': expected ExperimentSettings, as from grid"),
+        (lambda: study.read_grids("nowhere.toml"), "nowhere.toml: does not exist"),
+        (lambda: study.study_curves("runs"), "table = 'runs': expected DataFrame"),
+        (lambda: plots.draw_bars(None, "bars"), "panel = None: expected Axes"),
+        (lambda: plots.thinned("cloud"), "= 'cloud': expected an array of numbers"),
         (lambda: FLIGHT.first(-1), "count = -1"),
         (lambda: FLIGHT.prior.moved("far"), "by: str"),
         (lambda: FLIGHT.prior.between([NAN]), r"stamp_s\[0\] = nan"),

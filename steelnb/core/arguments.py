@@ -48,9 +48,10 @@ UNCHECKED = Demand(lambda value: True, "")
 def checks_arguments(function: Callable[P, R]) -> Callable[P, R]:
     """Let a function refuse arguments that are not of the kinds in its annotations, with an `InputError`.
 
-    Classes, their unions, literals, functions, tables, texts, paths, flags and numbers are checked. Ranges, arrays and
-    the items of sequences are not: the function checks these itself (`checks`). Numbers become those of Python, since a
-    kernel is compiled for each type that it meets. The checks take about 1 µs a call.
+    Classes, their unions, literals, functions, tables, texts, paths, flags, numbers, sequences and arrays of numbers
+    are checked. Ranges, the shapes of arrays and the items of sequences are not: the function checks these itself
+    (`checks`). Numbers become those of Python, since a kernel is compiled for each type that it meets. The checks take
+    about 1 µs a call.
     """
     named = inspect.getfullargspec(inspect.unwrap(function))
     parameters = [*named.args, *named.kwonlyargs]
@@ -75,6 +76,20 @@ def checks_arguments(function: Callable[P, R]) -> Callable[P, R]:
     return checked
 
 
+def _is_numeric(values: Any) -> bool:
+    """Whether numbers or truth values can be had as an array."""
+    try:
+        if isinstance(values, np.ndarray):
+            return values.dtype.kind in "biuf"
+        return np.asarray(values).dtype.kind in "biuf"
+    except (TypeError, ValueError, RuntimeError):  # ragged lists, and tensors with gradients
+        return False
+
+
+def _is_series(values: Any) -> bool:
+    return isinstance(values, collections.abc.Iterable) and not isinstance(values, str | bytes | dict)
+
+
 def _demand_of(hint: Any) -> Demand:
     """What an annotation asks for. If it is not checked, all values are accepted, and there are no words."""
     origin, of = typing.get_origin(hint), typing.get_args(hint)
@@ -92,6 +107,12 @@ def _demand_of(hint: Any) -> Demand:
         return Demand(lambda value: isinstance(value, str | int) and value in of, quoted(of))
     elif origin is collections.abc.Callable:
         return Demand(callable, "a function")
+    elif origin is np.ndarray:
+        return Demand(
+            _is_numeric, "an array of numbers", lambda value: value if hasattr(value, "dtype") else np.asarray(value)
+        )
+    elif origin in (collections.abc.Iterable, collections.abc.Sequence):
+        return Demand(_is_series, "a sequence")
     elif origin in (dict, collections.abc.Mapping):
         return Demand(lambda value: isinstance(value, origin), "a table")
     elif inspect.isclass(hint) and origin is None and not getattr(hint, "_is_protocol", False):

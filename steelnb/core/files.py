@@ -67,3 +67,20 @@ def new_folder(target: Path | str, stale: Sequence[str] = ()) -> Iterator[Path]:
                 os.replace(file, target / file.name)
     except OSError as fault:
         raise OutputError(f"{target}: cannot be written: {fault.strerror or fault}") from None
+
+
+@contextmanager
+def new_file(target: Path | str) -> Iterator[Path]:
+    """The path to write a file to, in a `new_folder`: it replaces ``target`` at the end. Raises `OutputError`.
+
+    Devices and pipes, such as /dev/stdout, are written to directly.
+    """
+    target = Path(target)
+    if os.path.isdir(target):
+        raise OutputError(f"{target}: a folder; expected the name of a file")
+    if os.path.exists(target) and not os.path.isfile(target):
+        yield target
+    else:
+        target = Path(os.path.realpath(target))  # a link stays one
+        with new_folder(target.parent) as folder:
+            yield folder / target.name

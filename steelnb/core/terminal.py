@@ -10,7 +10,11 @@ from typing import TextIO
 
 
 def prepare_terminal() -> None:
-    """Show ``?`` for characters that the terminal's encoding lacks, and each warning of Python as one line."""
+    """Show ``?`` for characters that the terminal's encoding lacks, and each warning of Python as one line. Nothing is
+    shown on a stream that is closed, as by ``2>&-``."""
+    for name in ("stdout", "stderr"):
+        if getattr(sys, name) is None:
+            setattr(sys, name, open(os.devnull, "w"))  # noqa: SIM115 kept until the command ends
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")

@@ -217,8 +217,8 @@ class Segments:
 
     @staticmethod
     def joined(parts: "Iterable[Segments]") -> "Segments":
-        """The segments of all parts, in order; at least one part."""
-        columns = zip(*((part.start, part.end, part.count, part.radius) for part in parts), strict=True)
+        """The segments of all parts, in order; none of no parts."""
+        columns = zip(*((p.start, p.end, p.count, p.radius) for p in (Segments.empty(), *parts)), strict=True)
         return Segments(*(np.concatenate(column) for column in columns))
 
     @property

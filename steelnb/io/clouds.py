@@ -11,8 +11,9 @@ import numpy as np
 import pandas as pd
 
 from steelnb.core.arguments import checks_arguments
+from steelnb.core.checks import check_length, checked_array
 from steelnb.core.errors import InputError
-from steelnb.core.files import reading
+from steelnb.core.files import new_file, reading
 from steelnb.core.geometry import shift_of, translated
 from steelnb.core.types import Array, IntArray
 from steelnb.hough.lines import spacing
@@ -183,8 +184,11 @@ READERS: Mapping[str, Callable[[Path], Any]] = {
 def write_map(path: Path | str, points: Array, bar: IntArray) -> None:
     """Write points ``(N, 3)`` in metres, and the bar ``(N,)`` of each as the property ``bar``, to a binary
     little-endian PLY file. Coordinates are doubles, so that UTM keeps its millimetres."""
+    points = checked_array(points, "points", ("N", 3))
+    check_length(bar, "bar", len(points), "one per point")
     vertex = np.empty(len(points), [("x", "<f8"), ("y", "<f8"), ("z", "<f8"), ("bar", "<i4")])
     vertex["x"], vertex["y"], vertex["z"], vertex["bar"] = *points.T, bar
     header = f"ply\nformat binary_little_endian 1.0\nelement vertex {len(points)}\n"
     header += "property double x\nproperty double y\nproperty double z\nproperty int bar\nend_header\n"
-    Path(path).write_bytes(header.encode() + vertex.tobytes())
+    with new_file(path) as file:
+        file.write_bytes(header.encode() + vertex.tobytes())

@@ -9,6 +9,8 @@ import numpy as np
 import pandas as pd
 
 from steelnb.core.arguments import checks_arguments
+from steelnb.core.checks import check_length, checked_array
+from steelnb.core.files import new_file
 from steelnb.core.types import Array, Segments
 from steelnb.fusion.structure import Structure
 
@@ -24,22 +26,24 @@ def write_segments(
     """Write one CSV row per segment, metres, rounded to 0.1 mm.
 
     ``sigma_m (M, 2)``, the standard deviations across the axis at start and end, add two columns in millimetres;
-    ``more``: further columns ``(M,)`` by name.
+    ``more``: further columns ``(M,)`` by name. Raises `InputError` and `OutputError`; no partial file is left.
     """
     rows = np.column_stack([segments.start, segments.end, segments.length, segments.count, segments.radius])
     table = pd.DataFrame(rows, columns=list(COLUMNS)).astype({"count": int})
     if sigma_m is not None:
-        table[["sigma_start_mm", "sigma_end_mm"]] = (1e3 * sigma_m).round(2)
+        table[["sigma_start_mm", "sigma_end_mm"]] = (1e3 * checked_array(sigma_m, "sigma_m", (len(table), 2))).round(2)
     for name, values in (more or {}).items():
+        check_length(values, name, len(table), "one per segment")
         table[name] = values
-    table.to_csv(path, index=False, float_format="%.4f", lineterminator="\n")
+    with new_file(path) as file:
+        table.to_csv(file, index=False, float_format="%.4f", lineterminator="\n")
 
 
 @checks_arguments
 def write_structure(structure: Structure, path: Path | str, about: Mapping[str, Any] | None = None) -> None:
     """Write bars, joints and the ties between them as JSON with all digits, one per line; null if unknown.
 
-    ``about`` is stored as the origin of the structure.
+    ``about`` is stored as the origin of the structure. Raises `OutputError`; no partial file is left.
     """
     s, unknown = structure.segments, [None] * len(structure)
     opening = _null_if_nan(structure.opening) or unknown
@@ -64,7 +68,8 @@ def write_structure(structure: Structure, path: Path | str, about: Mapping[str, 
     for key, entries in lists.items():
         rows = ",".join("\n  " + json.dumps(entry, allow_nan=False) for entry in entries)
         parts.append(f" {json.dumps(key)}: [{rows}]")
-    Path(path).write_text("{\n" + ",\n".join(parts) + "\n}\n", encoding="utf-8")
+    with new_file(path) as file:
+        file.write_text("{\n" + ",\n".join(parts) + "\n}\n", encoding="utf-8")
 
 
 def _null_if_nan(values: Array | None) -> list[Any]:

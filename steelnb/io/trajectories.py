@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from steelnb.core.arguments import checks_arguments
 from steelnb.core.checks import SAME_S
 from steelnb.core.errors import InputError
-from steelnb.core.files import reading
+from steelnb.core.files import new_file, reading
 from steelnb.core.types import Array, Trajectory
 from steelnb.io.clouds import COORDINATE_MAX_M
 from steelnb.io.text import Table, read_table
@@ -149,9 +149,10 @@ def _stamp_columns(table: Table) -> list[int]:
 
 @checks_arguments
 def write_tum(path: Path | str, trajectory: Trajectory) -> None:
-    """Write a TUM file: ``stamp x y z qx qy qz qw`` with all digits."""
+    """Write a TUM file: ``stamp x y z qx qy qz qw`` with all digits. Raises `OutputError`; no partial file is left."""
     xyzw = Rotation.from_matrix(trajectory.T_world_drone[:, :3, :3]).as_quat(canonical=True)
-    np.savetxt(path, np.column_stack([trajectory.stamp_s, trajectory.position, xyzw]))
+    with new_file(path) as file:
+        np.savetxt(file, np.column_stack([trajectory.stamp_s, trajectory.position, xyzw]))
 
 
 def trajectory_of(path: Path | str, rows: Array, skipped: Counter[str]) -> Trajectory:

@@ -18,6 +18,7 @@ SLICE_M, POINTS_MIN = 1.0, 200
 """Height of the slices in which a bend is measured, and minimum number of points of a slice."""
 
 
+@checks_arguments
 def bend(built: Array, true: Array, axis: ArrayLike = (0.0, 0.0)) -> dict[str, float]:
     """Measure how a cloud is bent: fit a rigid motion (Kabsch 1976) from the true to the built cloud in each horizontal
     slice. Both are ``(N, 3)``, metres, world frame.
@@ -64,6 +65,7 @@ def _rigid_fit(source: Array, target: Array) -> tuple[Array, float]:
     return T, float(np.sqrt((residual**2).sum(axis=1).mean()))
 
 
+@checks_arguments
 def basin_radius_m(offset_m: Array, converged: np.ndarray) -> float:
     """Radius of the basin of convergence, metres: every start within it converges to the true pose.
 

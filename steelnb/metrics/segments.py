@@ -151,6 +151,7 @@ class SeenMembers:
         return self.visibility.observed(SCAN_RETURNS_MIN)
 
 
+@checks_arguments
 def seen_members(axes: Array, points: Array, member: IntArray) -> SeenMembers:
     """The observed parts of members with ``axes (M, 2, 3)``, from noise-free ``points (N, 3)`` on their surfaces.
 

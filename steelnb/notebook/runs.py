@@ -13,6 +13,7 @@ from typing import Any, TypeVar
 from joblib import Parallel, delayed
 
 from steelnb import experiment
+from steelnb.core.arguments import checks_arguments
 from steelnb.core.cache import SOURCES
 from steelnb.core.errors import InputError
 from steelnb.core.types import Array, Flight
@@ -55,6 +56,7 @@ def result_of(
     return experiment.estimate(settings, *flights(settings), on_progress)
 
 
+@checks_arguments
 def run_all(
     cases: Iterable[ExperimentSettings],
     on_progress: experiment.OnProgress | None = None,

@@ -19,7 +19,9 @@ from pydantic import Field, field_validator
 from tqdm import tqdm
 
 from steelnb import experiment
+from steelnb.core.arguments import checks_arguments
 from steelnb.core.cache import PACKAGE, cached, digest_rooms
+from steelnb.core.checks import checked_kind
 from steelnb.core.determinism import machine
 from steelnb.core.errors import InputError
 from steelnb.core.files import new_folder, reading
@@ -117,9 +119,10 @@ def grid(**axes: Any) -> list[Run]:
     return Grid(**axes).runs()
 
 
-def read_grids(path: Path) -> list[Run]:
+@checks_arguments
+def read_grids(path: Path | str) -> list[Run]:
     """The runs of a study's TOML file, whose tables are `Grid`s, without duplicates. Raises `InputError`."""
-    grids = read_tables(path, Grid, "the settings of a study")
+    grids = read_tables(Path(path), Grid, "the settings of a study")
     if not grids:
         raise InputError(f"{path}: no table; expected at least one, such as [report]")
     runs: list[Run] = []
@@ -135,6 +138,7 @@ def _distinct(runs: Iterable[Run]) -> list[Run]:
     return list({run.key: run for run in runs}.values())
 
 
+@checks_arguments
 def run_study(
     runs: Iterable[Run | ExperimentSettings], jobs: int | None = None, folder: Path | str = KEPT
 ) -> pd.DataFrame:
@@ -151,32 +155,26 @@ def run_study(
     A failed run has the ``status`` "failed" and a traceback as ``error``. It is not cached, so the next call tries
     again. Raises `InputError` as `run_all` does.
     """
-    wanted = _distinct(each if isinstance(each, Run) else Run(each) for each in runs)
+    wanted = _distinct(
+        each if isinstance(each, Run) else Run(checked_kind(each, "runs", ExperimentSettings, "grid")) for each in runs
+    )
     path = str(Path(folder).absolute())
     with tqdm(total=100, desc="runs", unit=" %", disable=None) as bar:
         found = run_all(
             [run.settings for run in wanted],
-            lambda share: _show(bar, share),
+            lambda share: bar.update(round(100 * share) - bar.n),
             partial(_cached_row, path),
             jobs,
             timed=True,
         )
-    table = pd.DataFrame(
-        [
-            {**run.case, "tower": tower_name(run.settings), "key": run.key, **row}
-            for run, row in zip(wanted, found, strict=True)
-        ]
-    )
+    cases = [{**run.case, "tower": tower_name(run.settings), "key": run.key} for run in wanted]
+    table = pd.DataFrame([{**case, **row} for case, row in zip(cases, found, strict=True)])
     if table["seed"].dtype == object:  # "report" is among the seeds
         table["seed"] = table["seed"].astype(str)
     first = [*RUN_COLUMNS, "tower", "key", "status", "error"]
     last = [name for name in (*CURVES, *TIMES) if name in table]
     numbers = sorted(set(table) - {*first, *last})
     return table[[*first, *numbers, *last]].sort_values(list(RUN_COLUMNS), ignore_index=True)
-
-
-def _show(bar: tqdm, share: float) -> None:
-    bar.update(round(100 * share) - bar.n)
 
 
 def _cached_row(
@@ -218,12 +216,12 @@ def thinned_curves(result: experiment.Result) -> dict[str, np.ndarray]:
 def tower_name(settings: ExperimentSettings) -> str:
     """The list of members with the start of its SHA-256, such as ``report-tower 1a2b3c4d``, so that runs on an
     older list are told apart. Empty for a tower that is built from its dimensions."""
-    members = settings.tower.members
-    return (
-        f"{Path(members).stem} {hashlib.sha256(members_file(members).read_bytes()).hexdigest()[:8]}" if members else ""
-    )
+    if not (members := settings.tower.members):
+        return ""
+    return f"{Path(members).stem} {hashlib.sha256(members_file(members).read_bytes()).hexdigest()[:8]}"
 
 
+@checks_arguments
 def study_curves(table: pd.DataFrame) -> pd.DataFrame:
     """The thinned curves of some runs in long form, one row per sample: the columns `RUN_COLUMNS`, ``time_s``, the
     errors without and with correction, ``raw_m`` and ``error_m``, and ``matches``, the number of correspondences."""
@@ -232,7 +230,7 @@ def study_curves(table: pd.DataFrame) -> pd.DataFrame:
     return long.astype(dict.fromkeys(CURVES, float)).rename(columns=named)
 
 
-def write_runs(folder: Path, table: pd.DataFrame) -> None:
+def write_runs(folder: Path | str, table: pd.DataFrame) -> None:
     """Write a table of `run_study` to `RUNS`, and its measured times to `TIMING`. Raises `OutputError`."""
     times = [name for name in TIMES if name in table]
     with new_folder(folder) as new:
@@ -241,10 +239,12 @@ def write_runs(folder: Path, table: pd.DataFrame) -> None:
         timing.to_parquet(new / TIMING, index=False, compression="zstd", compression_level=9)
 
 
-def read_runs(folder: Path) -> pd.DataFrame:
+@checks_arguments
+def read_runs(folder: Path | str) -> pd.DataFrame:
     """Read the table that `write_runs` wrote. Raises `InputError`."""
-    with reading(folder / RUNS, "the table of a study"):
-        table = pd.read_parquet(folder / RUNS).drop_duplicates("key", ignore_index=True)
-    with reading(folder / TIMING, "the times of a study"):
-        timing = pd.read_parquet(folder / TIMING).drop_duplicates("key")
+    runs, times = Path(folder, RUNS), Path(folder, TIMING)
+    with reading(runs, "the table of a study"):
+        table = pd.read_parquet(runs).drop_duplicates("key", ignore_index=True)
+    with reading(times, "the times of a study"):
+        timing = pd.read_parquet(times).drop_duplicates("key")
         return table.merge(timing.drop(columns=list(RUN_COLUMNS)), on="key", how="left")

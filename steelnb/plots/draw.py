@@ -8,6 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection, PolyCollection
 from numpy.typing import NDArray
 
+from steelnb.core.arguments import checks_arguments
 from steelnb.core.types import Array, Segments
 from steelnb.plots.style import BLACK, COLOURS, KINDS, LABELS, Figure, gather_legend, style
 
@@ -20,21 +21,25 @@ BAR_M = 2.0
 """Length of the bar that shows the scale of a perspective."""
 
 
+@checks_arguments
 def draw_lines(panel: Axes, lines: Array, **look: Any) -> None:
     """Draw straight lines ``(M, 2, 2)`` into a panel; ``look`` are properties of a `LineCollection`."""
     panel.add_collection(LineCollection(list(lines), **{"capstyle": "round", **look}))
 
 
+@checks_arguments
 def end_points(segments: Segments) -> Array:
     """Both ends of each segment ``(M, 2, 3)``."""
     return np.stack([segments.start, segments.end], axis=1)
 
 
+@checks_arguments
 def thinned(points: Array, count: int) -> Array:
     """At most ``count`` of the points ``(N, 3)``, evenly spaced in their order."""
     return points[np.linspace(0, len(points) - 1, min(len(points), count)).astype(int)]
 
 
+@checks_arguments
 def project_perspective(points: Array, cloud: Array, elevation_deg: float = 10.0) -> Array:
     """Project points ``(…, 3)`` to ``(…, 2)``, metres, by a pinhole camera to the front right of the middle of
     ``cloud``, ``elevation_deg`` above it and 2.2 diagonals away. The middle is drawn to scale.
@@ -50,11 +55,13 @@ def project_perspective(points: Array, cloud: Array, elevation_deg: float = 10.0
     return np.asarray(flat * (distance / (distance - away @ to_camera))[..., None])
 
 
+@checks_arguments
 def draw_bars(panel: Axes, bars: Array, cloud: Array, elevation_deg: float = 10.0, **look: Any) -> None:
     """Draw bars ``(M, 2, 3)`` into a panel as `project_perspective` shows them."""
     draw_lines(panel, project_perspective(bars, cloud, elevation_deg), **look)
 
 
+@checks_arguments
 def draw_judged_bars(
     panel: Axes, members: Array, bars: Array, right: NDArray[np.bool_], joints: Array | None = None
 ) -> None:
@@ -70,6 +77,7 @@ def draw_judged_bars(
     frame_perspective(panel, cloud)
 
 
+@checks_arguments
 def draw_paths(panel: Axes, paths: Mapping[str, Array], cloud: Array, elevation_deg: float = 10.0) -> None:
     """Draw ``paths``, name of the colour → positions ``(N, 3)``, as `project_perspective` shows them, and frame them
     (`frame_perspective`). The truth is a wide line."""
@@ -80,6 +88,7 @@ def draw_paths(panel: Axes, paths: Mapping[str, Array], cloud: Array, elevation_
     frame_perspective(panel, cloud, list(paths.values()), elevation_deg)
 
 
+@checks_arguments
 def draw_flight(panel: Axes, members: Array, paths: Mapping[str, Array]) -> None:
     """Draw ``paths``, name of the colour → positions ``(N, 3)``, and the members ``(M, 2, 3)`` of a tower, as
     `project_perspective` shows them."""
@@ -87,6 +96,7 @@ def draw_flight(panel: Axes, members: Array, paths: Mapping[str, Array]) -> None
     draw_paths(panel, paths, members.reshape(-1, 3))
 
 
+@checks_arguments
 def frame_perspective(panel: Axes, cloud: Array, more: Sequence[Array] = (), elevation_deg: float = 10.0) -> None:
     """Set the limits of a panel to the projection (`project_perspective`) of ``cloud (N, 3)`` and ``more``, and draw a
     scale bar instead of axes."""
@@ -98,6 +108,7 @@ def frame_perspective(panel: Axes, cloud: Array, more: Sequence[Array] = (), ele
     panel.annotate(f"{BAR_M:g} m", (left + BAR_M / 2, low - 0.5), ha="center", va="top", fontsize=10)
 
 
+@checks_arguments
 @style()
 def figure_clouds(clouds: Mapping[str, tuple[Array, Array]]) -> Figure:
     """Draw the cloud that each method built, in its colour, over the true one, seen along y and along x.

@@ -6,6 +6,7 @@ import numpy as np
 from matplotlib.colors import to_rgb
 from numpy.typing import NDArray
 
+from steelnb.core.arguments import checks_arguments
 from steelnb.core.types import Array, Segments, Trajectory
 from steelnb.metrics import position_error_m
 from steelnb.plots import (
@@ -27,6 +28,7 @@ VIEWS = (0, 2, 1), (1, 2, 0), (0, 1, 2)
 VIEW_NAMES = "from the front", "from the side", "from above"
 
 
+@checks_arguments
 @style()
 def figure_flight(
     paths: Mapping[str, tuple[Trajectory, str]],
@@ -65,6 +67,7 @@ def figure_flight(
     return figure
 
 
+@checks_arguments
 @style()
 def figure_bars(
     points: Array, segments: Segments, title: str, surface: NDArray[np.bool_] | None = None, sure: Array | None = None

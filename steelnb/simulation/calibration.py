@@ -3,6 +3,7 @@
 import numpy as np
 
 from steelnb.core import rng
+from steelnb.core.arguments import checks_arguments
 from steelnb.settings import TofSettings
 from steelnb.settings.calibration import fitted_calibration
 from steelnb.simulation.tof_faults import draw_faults, reported_range
@@ -15,6 +16,7 @@ PIXELS = 400
 """Number of pixels around the optical axis whose ranges are averaged at each distance."""
 
 
+@checks_arguments
 def measure_calibration(settings: TofSettings, seed: rng.Seed) -> dict[str, float]:
     """Scale and offset of the camera of a seed, with their standard deviations, as overrides of `TofSettings`: a line
     fitted to mean ranges at `DISTANCES_M`.

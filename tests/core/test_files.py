@@ -1,5 +1,6 @@
 """Output is complete or absent, and any error while reading becomes one line."""
 
+import contextlib
 import os
 import signal
 import subprocess
@@ -9,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from steelnb.core.errors import InputError, OutputError
-from steelnb.core.files import new_folder, reading
+from steelnb.core.files import new_file, new_folder, reading
 
 
 def files_below(folder: Path) -> dict[str, str]:
@@ -89,3 +90,33 @@ def test_any_exception_of_a_reader_is_one_line_with_the_name(tmp_path: Path, fau
         pass
     with pytest.raises(InputError, match=r": a folder; expected a PLY file"), reading(tmp_path, "a PLY file"):
         pass
+
+
+@pytest.mark.parametrize("fault", [None, KeyboardInterrupt(), OSError(28, "No space left on device")])
+def test_a_file_is_written_whole_or_not_at_all_and_its_folder_is_made(
+    tmp_path: Path, fault: BaseException | None
+) -> None:
+    old, new, link = tmp_path / "old.csv", tmp_path / "deep" / "er" / "new.csv", tmp_path / "link.csv"
+    old.write_text("1")
+    link.symlink_to(old)
+    before = files_below(tmp_path)
+    for target in (new, link):
+        kind = OutputError if isinstance(fault, OSError) else type(fault)
+        with contextlib.nullcontext() if fault is None else pytest.raises(kind), new_file(target) as file:
+            file.write_text("2")
+            if fault:
+                raise fault
+    if fault:
+        assert files_below(tmp_path) == before
+    else:
+        assert link.is_symlink()
+        assert old.read_text() == new.read_text() == "2"
+
+
+def test_a_folder_is_no_file_and_a_device_is_written_to(tmp_path: Path) -> None:
+    with pytest.raises(OutputError, match="a folder; expected the name of a file"), new_file(tmp_path):
+        pass
+    with pytest.raises(OutputError, match="cannot be written"), new_file(tmp_path / "file" / "x"):
+        (tmp_path / "file").write_text("")
+    with new_file(os.devnull) as file:
+        assert file == Path(os.devnull)

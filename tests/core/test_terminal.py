@@ -40,3 +40,10 @@ def test_a_warning_is_one_line(capsys):
     prepare_terminal()
     warnings.warn("no place", stacklevel=1)
     assert capsys.readouterr().err == "steelnb: warning: no place\n"
+
+
+@pytest.mark.parametrize("closed", [["stdout"], ["stderr"], ["stdout", "stderr"]])
+def test_a_closed_stream_shows_nothing(monkeypatch, closed):
+    for name in closed:
+        monkeypatch.setattr(sys, name, None)
+    assert cli.main(["run", "nowhere.bag"]) == 2

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from steelnb.core.errors import InputError
-from steelnb.core.files import reading
+from steelnb.core.files import new_file, reading
 from steelnb.settings.presets import PRESETS
 
 VERSION = "steelnb-deepvo-1"
@@ -73,5 +73,5 @@ def write_network(path: Path, network: Network) -> None:
     arrays = {"version": np.array(VERSION)}
     for name, (weight, bias) in zip(NAMES, (*network.kernels, *network.matrices), strict=True):
         arrays |= {name: weight.astype(np.float16), f"bias_{name}": bias.astype(np.float16)}
-    with path.open("wb") as file:
+    with new_file(path) as target, target.open("wb") as file:
         np.savez_compressed(file, allow_pickle=False, **arrays)
