@@ -253,7 +253,7 @@ def test_a_message_of_a_database_without_a_time_is_left_out(tmp_path):
 
 @pytest.mark.parametrize("mount", [np.eye(3), "x", 2 * np.eye(4)])
 def test_a_mount_that_is_none_is_refused(tmp_path, mount):
-    with pytest.raises(InputError, match="T_drone_sensor( = 'x')?: "):
+    with pytest.raises(InputError, match=r"T_drone_sensor( = 'x')?: "):
         read_flight(Bagged(tmp_path / "a.mcap").clouds().odometry().write(), T_drone_sensor=mount)
 
 

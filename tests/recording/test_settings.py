@@ -112,3 +112,24 @@ def test_without_a_return_and_in_a_scene_no_larger_than_the_presets_the_preset_s
 def test_scans_in_millimetres_are_told():
     with pytest.raises(InputError, match=r"half of the returns are farther than 2e\+04: it looks like millimetres"):
         Scene.of(made(shell(40_000.0)))
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("tof.rate_hz", 3.0),
+        ("tof.range_max_m", 5.0),
+        ("flight.gust_sigma_m_s", 0.1),
+        ("seed", 3),
+        ("tower", "heavy"),
+        ("imu", None),
+    ],
+)
+def test_settings_of_the_simulation_are_refused_since_they_would_change_nothing(name, value):
+    with pytest.raises(InputError, match=f"^{name}"):
+        recording_settings("faces", overrides={name: value})
+
+
+def test_a_calibration_is_taken():
+    settings, _ = recording_settings("faces", overrides={"tof.range_scale": 1.003, "tof.range_offset_m": 0.004})
+    assert (settings.tof.range_scale, settings.tof.range_offset_m) == (1.003, 0.004)
