@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from steelnb.core.arguments import checks_arguments
-from steelnb.core.checks import checked_array, checked_number, checked_points
+from steelnb.core.checks import checked_number, checked_points, checked_pose
 from steelnb.core.errors import InputError
 from steelnb.core.kernels import njit
 from steelnb.core.types import Array, Scan
@@ -99,8 +99,8 @@ def preprocess_scan(scan: Scan, T_world_drone: Array, T_drone_sensor: Array, set
     Raises `InputError`.
     """
     points = np.ascontiguousarray(scan.points).reshape(-1, 3)
-    T_world_drone = checked_array(T_world_drone, "T_world_drone", (4, 4))
-    T_drone_sensor = checked_array(T_drone_sensor, "T_drone_sensor", (4, 4))
+    T_world_drone = checked_pose(T_world_drone, "T_world_drone")
+    T_drone_sensor = checked_pose(T_drone_sensor, "T_drone_sensor")
     upper = np.full(3, settings.crop_m)
     up, height = np.ascontiguousarray(T_world_drone[2, :3]), T_world_drone[2, 3]
     cropped = crop(points, T_drone_sensor, -upper, upper, up, height, settings.floor_m)
