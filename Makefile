@@ -17,7 +17,7 @@ export PYTHONDONTWRITEBYTECODE =
 # `workflow` is beside the package, not in it.
 export PYTHONPATH = .
 
-.PHONY: help setup reproduce study smoke test bits lint check docs train lab lock clean
+.PHONY: help setup reproduce study smoke test plain bits lint check docs train lab lock clean
 .DEFAULT_GOAL := help
 
 help:  ## list the targets
@@ -48,8 +48,12 @@ check: $(READY)  ## run every notebook from scratch and compare metrics and tabl
 study: $(READY)  ## run what is missing of notebooks/study.toml and write results/study/ (from scratch: 7 hours on two cores)
 	@$(BIN)/steelnb study notebooks/study.toml -o results/study
 
-test: $(READY) lint  ## run linters, type checks, import contracts and all tests, with the notebooks that are not up to date at the smoke budget, on two workers
+test: $(READY)  ## run linters, type checks, import contracts and all tests, with the notebooks that are not up to date at the smoke budget, on two workers
+	@$(MAKE) --no-print-directory --jobs=2 --output-sync lint plain
 	@$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder
+
+# The kernels' tests in plain Python, where indices beyond an array raise.
+plain: $(READY)
 	@NUMBA_DISABLE_JIT=1 $(BIN)/python -m pytest tests/hough tests/points tests/registration tests/fusion/test_kernels.py -m kernels -W ignore::RuntimeWarning
 
 # 25 minutes on two cores; needs Debian's package qemu-user.

@@ -3,6 +3,7 @@
 Results are bit-identical on every processor; `cast_bundle` explains how.
 """
 
+import functools
 import math
 from typing import Any, NamedTuple
 
@@ -28,11 +29,17 @@ def rays(camera: CameraSettings, origin_px: float = 0.5) -> Array:
 
     ``origin_px``: the point of each pixel, from its upper left corner (0) to its lower right one (1).
     """
-    u = (np.arange(camera.columns) + origin_px) / camera.columns * 2 - 1
-    v = (np.arange(camera.rows) + origin_px) / camera.rows * 2 - 1
-    ray = np.ones((camera.rows, camera.columns, 3))
-    ray[..., 1] = -np.tan(camera.fov_horizontal_rad / 2) * u
-    ray[..., 2] = -np.tan(camera.fov_vertical_rad / 2) * v[:, None]
+    fov_rad = camera.fov_horizontal_rad, camera.fov_vertical_rad
+    return _rays(camera.columns, camera.rows, *fov_rad, origin_px).copy()  # the caller's own
+
+
+@functools.lru_cache(maxsize=8)  # each scan needs them several times
+def _rays(columns: int, rows: int, fov_horizontal_rad: float, fov_vertical_rad: float, origin_px: float) -> Array:
+    u = (np.arange(columns) + origin_px) / columns * 2 - 1
+    v = (np.arange(rows) + origin_px) / rows * 2 - 1
+    ray = np.ones((rows, columns, 3))
+    ray[..., 1] = -np.tan(fov_horizontal_rad / 2) * u
+    ray[..., 2] = -np.tan(fov_vertical_rad / 2) * v[:, None]
     return np.asarray(ray / np.linalg.norm(ray, axis=2, keepdims=True))
 
 
