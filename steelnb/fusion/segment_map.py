@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from steelnb.core.arguments import checks_arguments
 from steelnb.core.errors import InputError
+from steelnb.core.geometry import shift_of
 from steelnb.core.kernels import njit
 from steelnb.core.types import Array, IntArray, Segments
 from steelnb.settings import FusionSettings
@@ -71,8 +72,9 @@ def _pair_distance(start, end, radius, known_start, known_end, known_radius, cos
 class SegmentMap:
     """Bars in the world frame, each merged from the segments of many scans.
 
-    A bar is stored as the moments of its points: their number, sum and sum of outer products. A segment counts as a
-    uniform bar of its points. Moments add exactly, so the axis of a merged bar does not depend on the order.
+    A bar is stored as the moments of its points about an origin near the first: their number, sum and sum of outer
+    products. A segment counts as a uniform bar of its points. Moments add exactly, so the axis of a merged bar does not
+    depend on the order.
     ``settings`` are the gates of `associate`; ``segments``: the B bars, metres; ``sightings (B,)``: number of segments
     merged into each.
 
@@ -87,7 +89,7 @@ class SegmentMap:
         self.sightings = np.zeros(0, dtype=np.int64)
         self.inserts = 0
         self._last = np.zeros(0, dtype=np.int64)  # the insert in which a bar was last observed
-        self._moments = np.zeros((0, 14))
+        self._moments, self._origin = np.zeros((0, 14)), np.zeros(3)  # squares of large coordinates have no digits left
         self.segments = Segments.empty()
 
     def __len__(self) -> int:
@@ -105,13 +107,15 @@ class SegmentMap:
             raise InputError(
                 "new: an end or radius that is not finite, or a count below 1; expected segments of points"
             )
+        if len(new) and not len(self):
+            self._origin = shift_of(new.start[0])
         target = associate(new, self.segments, self.settings)
         fresh = np.flatnonzero(target < 0)
         target[fresh] = len(self) + np.arange(len(fresh))
         self.sightings, self._last = (np.append(each, 0 * fresh) for each in (self.sightings, self._last))
         self._moments = np.concatenate([self._moments, np.zeros((len(fresh), 14))])
         self.segments = Segments.joined((self.segments, new.take(fresh)))
-        np.add.at(self._moments, target, _moments(new))
+        np.add.at(self._moments, target, _moments(new.moved(-self._origin)))
         np.add.at(self.sightings, target, 1)
         self.inserts += 1
         self._last[target] = self.inserts
@@ -128,7 +132,7 @@ class SegmentMap:
         moments = self._moments[touched]
         count, mean = moments[:, 0], moments[:, 1:4] / moments[:, :1]
         covariance = moments[:, 4:13].reshape(-1, 3, 3) / count[:, None, None] - mean[:, :, None] * mean[:, None, :]
-        axis = np.linalg.eigh(covariance)[1][:, :, 2]
+        axis, mean = np.linalg.eigh(covariance)[1][:, :, 2], mean + self._origin
         position = np.full(len(self), -1, dtype=np.int64)
         position[touched] = np.arange(len(touched))
         low, high = np.full(len(touched), np.inf), np.full(len(touched), -np.inf)

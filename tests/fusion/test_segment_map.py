@@ -159,3 +159,11 @@ def test_an_empty_map_and_one_of_bars_seen_once_give_an_empty_structure_that_say
     bars.insert(bars_of(LEG))
     assert len(structure_of(bars)) == 0
     assert structure_of(bars).reason == "none of 1 bars was seen 5 times"
+
+
+def test_a_map_in_the_coordinates_of_a_survey_is_that_near_zero_moved_there():
+    rng, far = np.random.default_rng(6), np.array([299_100.0, 5_801_400.0, 120.0])
+    frames = [frame(rng) for _ in range(12)]
+    near, there = built(frames).segments, built([each.moved(far) for each in frames]).segments.moved(-far)
+    for one, other in ((near.start, there.start), (near.end, there.end), (near.radius, there.radius)):
+        assert other == pytest.approx(one, abs=1e-7)
