@@ -27,6 +27,9 @@ EXTENT_MAX_M, SPACING_MAX_M = 500.0, 1.0
 
 COORDINATE_MAX_M = 1e8
 """No coordinate is larger: the earth is 4e7 m around. Drivers write such numbers for no return."""
+STRAY_M, STRAY_DISTANCES, STRAY_SHARE = 1e4, 1000.0, 0.01
+"""Points farther than both from the median point, in metres and in median distances, are strays if they are so few:
+such as zeros among the coordinates of a survey."""
 STEP_MAX_M, FAR_FROM_ZERO_M, ROUNDED_POINTS = 0.02, 1e4, 100
 """Largest step between coordinates; those below the second are left as they are, as are few points."""
 LINES_COUNTED = 10
@@ -48,13 +51,15 @@ class Cloud:
 
     ``points (N, 3)`` in metres are relative to ``origin (3,)``: add it to results derived from them. The origin is zero
     unless the coordinates are large (UTM), and a multiple of 100 m. ``invalid`` counts the dropped points with a
-    coordinate that is NaN, infinite or beyond `COORDINATE_MAX_M`, ``duplicates`` the dropped exact duplicates.
+    coordinate that is NaN, infinite or beyond `COORDINATE_MAX_M`, ``duplicates`` the dropped exact duplicates, and
+    ``strays`` the dropped points kilometres from all others (`STRAY_M`).
     """
 
     points: Array
     origin: Array
     invalid: int
     duplicates: int
+    strays: int = 0
 
     def __len__(self) -> int:
         return len(self.points)
@@ -72,6 +77,11 @@ def read_cloud(path: Path | str) -> Cloud:
     distinct = finite[~pd.DataFrame(finite).duplicated().to_numpy()]
     if len(distinct) < 2:
         raise InputError(f"{path}: {len(distinct)} distinct finite points of {len(points)}; expected at least two")
+    distance_m = np.linalg.norm(distinct - np.median(distinct, axis=0), axis=1)
+    is_stray = distance_m > max(STRAY_M, STRAY_DISTANCES * float(np.median(distance_m)))
+    strays = int(np.count_nonzero(is_stray))
+    strays = strays if strays <= STRAY_SHARE * len(distinct) else 0
+    distinct = distinct[~is_stray] if strays else distinct
     extent_m = float(np.ptp(distinct, axis=0).max())
     if extent_m > EXTENT_MAX_M:
         spacing_m = spacing(distinct)
@@ -82,7 +92,7 @@ def read_cloud(path: Path | str) -> Cloud:
     _check_steps(path, distinct)
     origin = shift_of(distinct.mean(axis=0))
     shifted = translated(distinct, -origin) if origin.any() else distinct
-    return Cloud(shifted, origin, len(points) - len(finite), len(finite) - len(distinct))
+    return Cloud(shifted, origin, len(points) - len(finite), len(finite) - len(distinct) - strays, strays)
 
 
 def _check_steps(path: Path | str, points: Array) -> None:

@@ -40,6 +40,17 @@ def thinned(points: Array, count: int) -> Array:
 
 
 @checks_arguments
+def in_view(points: Array) -> NDArray[np.bool_]:
+    """Which of the points ``(N, 3)`` a picture shows: those within the range of 999 in 1000, widened by its size. A
+    single stray point would make all others a dot."""
+    if not len(points):
+        return np.zeros(0, dtype=bool)
+    low, high = np.quantile(points, [0.0005, 0.9995], axis=0)
+    size = (high - low).max()
+    return np.asarray(((points >= low - size) & (points <= high + size)).all(axis=1))
+
+
+@checks_arguments
 def project_perspective(points: Array, cloud: Array, elevation_deg: float = 10.0) -> Array:
     """Project points ``(…, 3)`` to ``(…, 2)``, metres, by a pinhole camera to the front right of the middle of
     ``cloud``, ``elevation_deg`` above it and 2.2 diagonals away. The middle is drawn to scale.

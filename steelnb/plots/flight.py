@@ -20,6 +20,7 @@ from steelnb.plots import (
     project_perspective,
     thinned,
 )
+from steelnb.plots.draw import in_view
 from steelnb.plots.style import drawable, style
 
 POINTS_MAX = 60_000
@@ -43,7 +44,7 @@ def figure_flight(
     ``paths``: label → trajectory and colour, the recorded one first. They have a pose at every stamp of the truth.
     """
     prior = next(iter(paths.values()))[0]
-    true = prior if truth is None else truth
+    true, cloud = prior if truth is None else truth, cloud[in_view(cloud)]
     around = cloud if len(cloud) > 1 else prior.position[0] + np.array([[-1.0], [1.0]])
     figure = Figure(figsize=(11, 5.6))
     space, over_time = figure.subplots(1, 2, width_ratios=(1, 1.2))
@@ -77,7 +78,8 @@ def figure_bars(
     ``surface (N,)``: whether a point lies on a surface; they have another colour. ``sure (M,)``: how sure each bar
     is, 0 to 1; unsure ones are pale. A bar behind another one is drawn first.
     """
-    surface = np.zeros(len(points), dtype=bool) if surface is None else surface
+    surface, seen = np.zeros(len(points), dtype=bool) if surface is None else surface, in_view(points)
+    points, surface = points[seen], surface[seen]
     kept = [thinned(points[where], POINTS_MAX // 2) for where in (surface, ~surface)]
     kinds = [(cloud, name) for cloud, name in zip(kept, ("surface", "points"), strict=True) if len(cloud)]
     ends, cloud = end_points(segments), points[~surface] if len(segments) else points

@@ -11,6 +11,7 @@ from steelnb import plots
 from steelnb.core.types import Array, Segments, Trajectory
 from steelnb.metrics import position_error_m
 from steelnb.plots import COLOURS
+from steelnb.plots.draw import in_view
 
 if TYPE_CHECKING:
     from plotly.graph_objects import Figure as PlotlyFigure
@@ -84,7 +85,8 @@ def figure_cloud(points: Array, bars: Segments, surface: NDArray[np.bool_]) -> "
     from plotly.graph_objects import Figure as PlotlyFigure
     from plotly.graph_objects import Scatter3d
 
-    figure = PlotlyFigure()
+    figure, seen = PlotlyFigure(), in_view(points)
+    points, surface = points[seen], surface[seen]
     for where, name, key in ((surface, "surfaces", "surface"), (~surface, "other points", "points")):
         marker = {"size": 1, "color": COLOURS[key], "opacity": 0.6}
         shown = plots.thinned(points[where], CLOUD_POINTS)

@@ -13,7 +13,7 @@ from steelnb.fusion.candidates import LENGTH_MIN_M, TUBE_M
 from steelnb.fusion.whole_cloud import CloudBars, bars_of_cloud, default_tube
 from steelnb.hough.lines import spacing
 from steelnb.hough.whole_structure.search import MIN_VOTES, within
-from steelnb.io.clouds import Cloud, read_cloud
+from steelnb.io.clouds import STRAY_M, Cloud, read_cloud
 from steelnb.io.structures import write_segments
 from steelnb.plots.flight import figure_bars
 from steelnb.plots.scene3d import figure_cloud
@@ -117,7 +117,7 @@ def segment_file(
         explained,
         on_surfaces,
         summary,
-        _warnings(found, explained, cloud.points, min_votes),
+        (*_stray_warning(cloud), *_warnings(found, explained, cloud.points, min_votes)),
     )
 
 
@@ -133,6 +133,10 @@ def _name(surface: Surface) -> str:
     if kind == "level":
         return f"level at {surface.centre[2]:.1f} m"
     return f"{kind} around ({', '.join(f'{x:.1f}' for x in surface.centre)}) m"
+
+
+def _stray_warning(cloud: Cloud) -> list[str]:
+    return [f"{cloud.strays} points, more than {STRAY_M / 1e3:g} km from the others, are left out"] * bool(cloud.strays)
 
 
 def _warnings(found: CloudBars, explained: float, points: Array, min_votes: int) -> tuple[str, ...]:

@@ -205,3 +205,17 @@ def test_arrays_with_names_are_read_and_other_types_refused(tmp_path: Path) -> N
         np.save(tmp_path / "a.npy", other, allow_pickle=True)
         with pytest.raises(InputError, match=r"a.npy: not a NPY file of points: "):
             read_points(tmp_path / "a.npy")
+
+
+def test_a_few_points_kilometres_away_are_left_out_and_counted(tmp_path: Path) -> None:
+    survey = np.array([299_100.0, 5_801_400.0, 120.0])
+    for name, points, strays in (
+        ("zeros", np.concatenate([POINTS + survey, np.zeros((2, 3))]), 1),  # equal ones are duplicates
+        ("far", np.concatenate([POINTS, [[1e5, 0, 0], [0, -2e4, 0]]]), 2),
+        ("a kilometre", np.concatenate([POINTS, [[1e3, 0, 0]]]), 0),
+    ):
+        np.save(tmp_path / f"{name}.npy", points)
+        cloud = read_cloud(tmp_path / f"{name}.npy")
+        assert cloud.strays == strays
+        assert len(cloud) + cloud.duplicates + strays == len(points)
+        assert np.ptp(cloud.points, axis=0).max() < 2e3

@@ -9,7 +9,10 @@ import seaborn as sns
 from matplotlib.colors import to_rgb
 
 from steelnb import plots
+from steelnb.core.types import Segments
 from steelnb.plots.charts import error_dots
+from steelnb.plots.draw import in_view
+from steelnb.plots.flight import figure_bars
 
 TOGETHER = {
     "bands": ["draws", "draw", "report"],
@@ -84,3 +87,12 @@ def test_rows_of_methods_are_named_as_in_the_legends_of_other_figures():
     rows = pd.DataFrame({"method": methods * 2, "ate_rmse_m": [0.1, 0.2, 0.3, 0.4], "raw_ate_rmse_m": 0.5})
     grid = error_dots(rows.astype({"method": pd.CategoricalDtype(methods)}), "method", methods)
     assert [tick.get_text() for tick in grid.axes.flat[0].get_yticklabels()] == [plots.LABELS[each] for each in methods]
+
+
+def test_a_stray_point_does_not_make_the_rest_a_dot():
+    points = np.random.default_rng(2).uniform([-1, -1, 0], [1, 1, 6], (5000, 3))
+    figure = figure_bars(np.concatenate([points, [[1000.0, 0.0, 0.0]]]), Segments.empty(), "a stray")
+    for panel in figure.axes:
+        assert np.ptp(panel.dataLim.intervalx) < 10
+    assert in_view(points).all()
+    assert in_view(points[:2]).all()
