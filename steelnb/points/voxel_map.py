@@ -106,7 +106,7 @@ class VoxelMap:
         Rows ``slots (N,)`` are computed, −1 is ignored; others are undefined. Valid until the next insertion.
         """
         slots = self._checked(slots, -1)
-        self._link()
+        self.link()
         kernels.shapes(
             slots, floor_m2, self._shape, self._shape_mark, self._mark, self.voxel_m, self._around, self._moment
         )
@@ -123,7 +123,7 @@ class VoxelMap:
             raise InputError(
                 f"source of shape {np.shape(source)}: expected ({n}, 3), and match and state of {n} points"
             )
-        self._link()
+        self.link()
         return int(
             kernels.correspond(source, T, limit_m, self.voxel_m, *self._table, self._around, self._mean, match, *state)
         )
@@ -135,6 +135,8 @@ class VoxelMap:
             raise InputError(f"slots: {shown(slots.tolist())}; expected whole numbers from {low} to {self._size - 1}")
         return slots
 
-    def _link(self) -> None:
+    def link(self) -> None:
+        """Know the voxels around each voxel. `shapes` and `correspond` do so when they are called first, and after an
+        insertion; copies of a linked map are linked."""
         kernels.link(self._linked, self._size, self._key, *self._table, self._around)
         self._linked = self._size
