@@ -27,7 +27,7 @@ TASKS: dict[str, list[str]] = {
     "a misspelt parameter is refused": [*PAPERMILL, "out.ipynb", "-p", "trajektory", "loops"],
     "notebook 00, all cells": [*PAPERMILL, "out.ipynb"],
 }
-COMPILED = "`steelnb run`, 30 scans"
+WITHOUT_KERNELS = "`steelnb run`, 30 scans"
 """The task that is tried without kernels, too."""
 
 
@@ -60,7 +60,7 @@ if __name__ == "__main__":
         for task in TASKS:
             cells = []
             for condition in conditions:
-                if condition == "no kernels" and task != COMPILED:
+                if condition == "no kernels" and task != WITHOUT_KERNELS:
                     cells.append("")
                     continue
                 cells.append(f"{statistics.median(seconds(task, condition, folder) for _ in range(TRIES)):.1f}")

@@ -176,9 +176,11 @@ def record(
         options: dict[str, Any] = {"sensor": sensor, "seed": seed, "duration_s": duration}
         options |= {"trajectory": trajectory, "noise": noise, "overrides": _overrides(changed)}
         settings = ExperimentSettings.preset(**options)
-        idle = [name for name in options["overrides"] if name.partition(".")[0] not in ExperimentSettings.model_fields]
+        idle = [name for name in options["overrides"] if ExperimentSettings.table_of(name) == "odometry"]
         if idle and trajectory != "planned":
-            raise InputError(f"{idle[0]}: a setting of the odometry, which changes nothing here; expected it in `run`")
+            raise InputError(
+                f"{idle[0]}: a setting of the odometry, which changes nothing in a recording; give it to `run`"
+            )
         check_target(file, force)
         on_stage("flying")
         flight, truth = experiment.simulate(settings, on_share)

@@ -107,6 +107,7 @@ BAD = (
     (["record", "b.db3"], "b.db3: ending '.db3'; expected .bag or .mcap"),
     (["record", "b.bag", "--duration", "0"], "duration_s = 0.0"),
     (["record", "b.bag", "--set", "preprocess.crop_m=3"], "preprocess.crop_m: a setting of the odometry"),
+    (["record", "b.bag", "--set", "odometry.preprocess.crop_m=3"], "odometry.preprocess.crop_m: a setting of the"),
     (["run", "a.mcap", "--set", "tof.rate_hz=3"], "tof.rate_hz: a setting of simulated flights"),
     (["fly"], "No such command 'fly'"),
 )

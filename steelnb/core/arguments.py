@@ -79,8 +79,6 @@ def checks_arguments(function: Callable[P, R]) -> Callable[P, R]:
 def _is_numeric(values: Any) -> bool:
     """Whether numbers or truth values can be had as an array."""
     try:
-        if isinstance(values, np.ndarray):
-            return values.dtype.kind in "biuf"
         return np.asarray(values).dtype.kind in "biuf"
     except (TypeError, ValueError, RuntimeError):  # ragged lists, and tensors with gradients
         return False

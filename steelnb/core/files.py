@@ -71,7 +71,8 @@ def new_folder(target: Path | str, stale: Sequence[str] = ()) -> Iterator[Path]:
 
 @contextmanager
 def new_file(target: Path | str) -> Iterator[Path]:
-    """The path to write a file to, in a `new_folder`: it replaces ``target`` at the end. Raises `OutputError`.
+    """A path to write a file to. At the end the file replaces ``target``, in a folder that is made if needed; on an
+    error it is deleted. Raises `OutputError`.
 
     Devices and pipes, such as /dev/stdout, are written to directly.
     """

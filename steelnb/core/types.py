@@ -217,7 +217,7 @@ class Segments:
 
     @staticmethod
     def joined(parts: "Iterable[Segments]") -> "Segments":
-        """The segments of all parts, in order; none of no parts."""
+        """The segments of all parts, in order. Without parts there are none."""
         columns = zip(*((p.start, p.end, p.count, p.radius) for p in (Segments.empty(), *parts)), strict=True)
         return Segments(*(np.concatenate(column) for column in columns))
 

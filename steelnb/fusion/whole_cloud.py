@@ -87,8 +87,8 @@ class CloudBars:
         if not len(bars):
             return 1.0
         ends = zip(bars.start, bars.end, bars.length, strict=True)
-        middles = np.concatenate([np.linspace(a, b, 2 + int(length / SLICE_M))[:-1] for a, b, length in ends])
-        return float((nearest_bar(middles, self.bars, 0.5 * WIDTH_MAX * self.tube_m, self.tube_m) >= 0).mean())
+        along = np.concatenate([np.linspace(a, b, 2 + int(length / SLICE_M))[:-1] for a, b, length in ends])
+        return float((nearest_bar(along, self.bars, 0.5 * WIDTH_MAX * self.tube_m, self.tube_m) >= 0).mean())
 
     def scaled(self, scale: float) -> "CloudBars":
         """The same with all lengths multiplied."""

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
 
 from steelnb.core.arguments import checks_arguments
 from steelnb.core.checks import check_length, checked_array
@@ -77,22 +78,25 @@ def read_cloud(path: Path | str) -> Cloud:
     distinct = finite[~pd.DataFrame(finite).duplicated().to_numpy()]
     if len(distinct) < 2:
         raise InputError(f"{path}: {len(distinct)} distinct finite points of {len(points)}; expected at least two")
-    distance_m = np.linalg.norm(distinct - np.median(distinct, axis=0), axis=1)
-    is_stray = distance_m > max(STRAY_M, STRAY_DISTANCES * float(np.median(distance_m)))
-    strays = int(np.count_nonzero(is_stray))
-    strays = strays if strays <= STRAY_SHARE * len(distinct) else 0
-    distinct = distinct[~is_stray] if strays else distinct
-    extent_m = float(np.ptp(distinct, axis=0).max())
+    kept = distinct[~_strays(distinct)]
+    extent_m = float(np.ptp(kept, axis=0).max())
     if extent_m > EXTENT_MAX_M:
-        spacing_m = spacing(distinct)
+        spacing_m = spacing(kept)
         if spacing_m > SPACING_MAX_M:
             raise InputError(
                 f"{path}: a spacing of {spacing_m:.3g} over {extent_m:.4g} looks like millimetres; expected metres"
             )
-    _check_steps(path, distinct)
-    origin = shift_of(distinct.mean(axis=0))
-    shifted = translated(distinct, -origin) if origin.any() else distinct
-    return Cloud(shifted, origin, len(points) - len(finite), len(finite) - len(distinct) - strays, strays)
+    _check_steps(path, kept)
+    origin = shift_of(kept.mean(axis=0))
+    shifted = translated(kept, -origin) if origin.any() else kept
+    return Cloud(shifted, origin, len(points) - len(finite), len(finite) - len(distinct), len(distinct) - len(kept))
+
+
+def _strays(points: Array) -> NDArray[np.bool_]:
+    """Mask ``(N,)`` of the strays (`STRAY_M`) among points ``(N, 3)``."""
+    distance_m = np.linalg.norm(points - np.median(points, axis=0), axis=1)
+    is_far = distance_m > max(STRAY_M, STRAY_DISTANCES * float(np.median(distance_m)))
+    return is_far & (np.count_nonzero(is_far) <= STRAY_SHARE * len(points))
 
 
 def _check_steps(path: Path | str, points: Array) -> None:

@@ -17,6 +17,8 @@ if TYPE_CHECKING:
 
 CLOUD_POINTS = 60_000
 """Maximum number of points in a picture of a cloud."""
+MOST = 0.0005, 0.9995
+"""Quantiles of the coordinates between which lie those of 999 in 1000 points."""
 BAR_M = 2.0
 """Length of the bar that shows the scale of a perspective."""
 
@@ -45,7 +47,7 @@ def in_view(points: Array) -> NDArray[np.bool_]:
     single stray point would make all others a dot."""
     if not len(points):
         return np.zeros(0, dtype=bool)
-    low, high = np.quantile(points, [0.0005, 0.9995], axis=0)
+    low, high = np.quantile(points, MOST, axis=0)
     size = (high - low).max()
     return np.asarray(((points >= low - size) & (points <= high + size)).all(axis=1))
 
@@ -127,7 +129,7 @@ def figure_clouds(clouds: Mapping[str, tuple[Array, Array]]) -> Figure:
     ``clouds``: method → built and true points ``(N, 3)``, metres. Black stays visible where no built point covers it.
     """
     everything = np.concatenate([cloud for pair in clouds.values() for cloud in pair])
-    low, high = np.quantile(everything, [0.0005, 0.9995], axis=0) + np.array([[-0.4], [0.4]])
+    low, high = np.quantile(everything, MOST, axis=0) + np.array([[-0.4], [0.4]])
     wide, tall = (high - low)[:2], (high - low)[2]
     scale = min(6.0 / tall, 3.2 / wide.sum())  # inches per metre
     figure = Figure(figsize=(len(clouds) * (wide.sum() * scale + 0.3) + 0.9, tall * scale + 1.75), layout="compressed")

@@ -136,7 +136,7 @@ class VoxelMap:
         return slots
 
     def link(self) -> None:
-        """Know the voxels around each voxel. `shapes` and `correspond` do so when they are called first, and after an
-        insertion; copies of a linked map are linked."""
+        """Find the voxels around each new voxel. `shapes` and `correspond` do so when they are called first, and after
+        an insertion; copies of a linked map are linked."""
         kernels.link(self._linked, self._size, self._key, *self._table, self._around)
         self._linked = self._size

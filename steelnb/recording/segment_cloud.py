@@ -100,7 +100,7 @@ def segment_file(
         f"read      {display_name(path)}: {len(cloud)} points ({cloud.duplicates} duplicates and "
         f"{cloud.invalid} invalid ones dropped), {apart_m:.3g} m apart",
         f"settings  voxel {voxel:.3g} m, dx {dx:.3g} m: members closer than {2 * dx:.2g} m to each other are one, "
-        f"and those below {(2 + LENGTH_MIN_M / TUBE_M) * dx:.2g} m are not found",
+        f"and those shorter than {(2 + LENGTH_MIN_M / TUBE_M) * dx:.2g} m are not found",
         *_surface_lines(found.surfaces),
         f"found     {len(bars)} bars, {bars.length.sum():.1f} m in all, the longest "
         f"{bars.length.max(initial=0):.1f} m, in {time.perf_counter() - began:.1f} s",
@@ -136,7 +136,8 @@ def _name(surface: Surface) -> str:
 
 
 def _stray_warning(cloud: Cloud) -> list[str]:
-    return [f"{cloud.strays} points, more than {STRAY_M / 1e3:g} km from the others, are left out"] * bool(cloud.strays)
+    far = f"points more than {STRAY_M / 1e3:g} km from the others, which are left out: {cloud.strays}"
+    return [far] if cloud.strays else []
 
 
 def _warnings(found: CloudBars, explained: float, points: Array, min_votes: int) -> tuple[str, ...]:

@@ -112,8 +112,7 @@ def recording_settings(
     found |= {"preprocess.crop_m": range_max_m} if range_max_m is not None else {}
     settings = preset.override(found | dict(overrides or {}))
     for name in overrides or {}:
-        table = name.partition(".")[0]
-        if table in ExperimentSettings.model_fields and table != "odometry" and name not in CALIBRATION:
+        if ExperimentSettings.table_of(name) != "odometry" and name not in CALIBRATION:
             raise InputError(
                 f"{name}: a setting of simulated flights, which changes nothing in a recording; expected one of the"
                 f" odometry, {', '.join(CALIBRATION)}, or --range-max for the range"

@@ -150,16 +150,24 @@ class ExperimentSettings(Settings):
             settings = settings.override({"broken_off_s": plot.broken_off_s})
         return settings.override({} if overrides is None else overrides)
 
+    @classmethod
+    def table_of(cls, name: str) -> str:
+        """The table that a name in `override` belongs to; a setting of the whole run is a table of its own."""
+        table = name.partition(".")[0]
+        return table if table in cls.model_fields else "odometry"
+
     def override(self, overrides: dict[str, Any]) -> Self:
         """A copy with single settings changed, each named ``table.setting``. Raises `InputError`.
 
         The tables of the world are ``tower``, ``flight``, ``tof`` and ``imu``. All other names belong to the odometry.
         ``tower`` may be the name of a preset.
         """
-        own = type(self).model_fields
         checked_kind(overrides, "overrides", dict)
         if isinstance(overrides.get("tower"), str):
             overrides = {**overrides, "tower": TowerSettings.preset(overrides["tower"])}
         return super().override(
-            {path if path.partition(".")[0] in own else f"odometry.{path}": value for path, value in overrides.items()}
+            {
+                path if path.partition(".")[0] == self.table_of(path) else f"odometry.{path}": value
+                for path, value in overrides.items()
+            }
         )

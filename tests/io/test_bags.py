@@ -251,9 +251,11 @@ def test_a_message_of_a_database_without_a_time_is_left_out(tmp_path):
     assert len(read_flight(path)) >= 3
 
 
-@pytest.mark.parametrize("mount", [np.eye(3), "x", 2 * np.eye(4)])
-def test_a_mount_that_is_none_is_refused(tmp_path, mount):
-    with pytest.raises(InputError, match=r"T_drone_sensor( = 'x')?: "):
+@pytest.mark.parametrize(
+    ("mount", "says"), [(np.eye(3), r": .*\(3, 3\)"), ("x", " = 'x': expected an array"), (2 * np.eye(4), ": last row")]
+)
+def test_a_mount_that_is_none_is_refused(tmp_path, mount, says):
+    with pytest.raises(InputError, match=f"T_drone_sensor{says}"):
         read_flight(Bagged(tmp_path / "a.mcap").clouds().odometry().write(), T_drone_sensor=mount)
 
 

@@ -134,10 +134,8 @@ class ReportCloudOdometry(BaseOdometry):
 
 def rejection(step: Array) -> str:
     """Why a step ``(4, 4)`` is rejected; empty if it is within the gates."""
-    angle, distance = (
-        float(Rotation.from_matrix(step[:3, :3], assume_valid=True).magnitude()),
-        float(np.linalg.norm(step[:3, 3])),
-    )
+    angle = float(Rotation.from_matrix(step[:3, :3], assume_valid=True).magnitude())
+    distance = float(np.linalg.norm(step[:3, 3]))
     if angle > TURN_MAX_RAD:
         return f"turn of {np.degrees(angle):.0f}°"
     return f"jump of {distance:.2f} m" if distance > MOVE_MAX_M else ""
