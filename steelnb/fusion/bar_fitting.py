@@ -9,9 +9,10 @@ from numpy.typing import NDArray
 from steelnb.core.errors import InputError
 from steelnb.core.types import Array, IntArray, Segments
 from steelnb.fusion.adjustment.problem import Bars
-from steelnb.fusion.candidates import TUBE_M, find_bars, merge_pieces
+from steelnb.fusion.candidates import find_bars, merge_pieces
 from steelnb.fusion.joints import TILT_DETERMINED_RAD, find_joints, trim_bends
 from steelnb.fusion.mapped_scans import MappedScans
+from steelnb.fusion.ridges import TUBE_M, Ridges
 from steelnb.fusion.sections.choose import fit_sections
 from steelnb.fusion.sections.histogram import HISTOGRAM, accumulate
 from steelnb.fusion.sections.shapes import THICKNESS, TUBE, frames
@@ -97,7 +98,7 @@ class BarFitter:
     def find_and_fit(self, fits: int, every: int = 5) -> FittedBars:
         """The bars of the voxels, fitted ``fits`` times to one in ``every`` scans. Bars extended to their joints have
         more points, so a second fit is more accurate. Raises `InputError` if there are no bars."""
-        segments, reason = find_bars(self.scans.voxels, grids=1)
+        segments, reason = find_bars(Ridges.of(self.scans.voxels), grids=1)
         if not len(segments):
             raise InputError(reason)
         for _ in range(fits):

@@ -8,17 +8,11 @@ from numpy.typing import NDArray
 from steelnb.core.kernels import njit
 from steelnb.core.types import Array, IntArray, Segments
 from steelnb.fusion.joints import BEND_MAX, BEND_MIN, REACH_M
-from steelnb.fusion.ridges import ridge_points
+from steelnb.fusion.ridges import RIDGE_RADIUS_M, RIDGE_SHARE, TUBE_M, Ridges, ridge_points
 from steelnb.hough.alternatives.refine import nearest_bar
 from steelnb.hough.whole_structure.search import MIN_VOTES, segment_structure, within
-from steelnb.points import VoxelMap, voxel_grid
+from steelnb.points import voxel_grid
 
-TUBE_M, VOXEL_M = 0.06, 0.04
-"""Radius of the tube that contains a bar's points, and edge of the voxels that accumulate the scans. These and the
-other lengths and shares of reconstruction were tuned with ``starling2`` on ``zigzag`` and ``loops`` flights around the
-tower ``tapered`` and one with flanges of 160 mm."""
-RIDGE_RADIUS_M, RIDGE_SHARE, CONTRACT_M = 0.15, 0.2, 0.08
-"""See `ridge_points`."""
 LENGTH_MIN_M = 0.3
 """Minimum length of a bar."""
 STRUT_TUBE_M, STRUT_LENGTH_MIN_M, STRUT_HIDE_M, STRUT_CONTRACT_M = 0.04, 0.18, 0.045, 0.05
@@ -44,18 +38,20 @@ sees on different faces. Structures are no better if they are not split: on `tap
 and precision 0.983 in both cases."""
 
 
-def find_bars(voxels: VoxelMap, grids: int = GRIDS, rise_m: float = math.inf) -> tuple[Segments, str]:
-    """The bars of a voxel map, strongest first, with axes in the middle of their points; and the reason if none.
+def find_bars(ridges: Ridges, grids: int = GRIDS, rise_m: float = math.inf) -> tuple[Segments, str]:
+    """The bars on ridges, strongest first, with axes in the middle of their points; and the reason if none.
 
     ``grids``: number of grids of blocks, 1 to 8 (`segment_structure`); ``rise_m``: see `merge_pieces`.
     """
-    points = voxel_grid(ridge_points(voxels, RIDGE_RADIUS_M, RIDGE_SHARE, CONTRACT_M), TUBE_M / math.sqrt(3))
+    points = ridges.off_surfaces
+    others = len(ridges.points) - len(points)
+    found = f"{len(points)} points on ridges" + (f" ({others} more lie on surfaces)" if others else "")
     if len(points) < MIN_VOTES or not np.linalg.norm(np.ptp(points, axis=0)) > 2 * LENGTH_MIN_M:
-        return Segments.empty(), f"{len(points)} points on ridges: too few or too close together for a bar"
+        return Segments.empty(), f"{found}: too few or too close together for a bar"
     bars = bars_on_ridges(points, TUBE_M, MIN_VOTES, grids, rise_m)
     if not len(bars):
-        return bars, f"none of {len(points)} points on ridges lie along a line"
-    struts = find_struts(voxels, bars, STRUT_HIDE_M, grids)
+        return bars, f"none of {found} lie along a line"
+    struts = find_struts(ridges, bars, STRUT_HIDE_M, grids)
     return merge_pieces(Segments.joined((bars, struts)), rise_m=rise_m), ""
 
 
@@ -65,11 +61,13 @@ def bars_on_ridges(points: Array, tube_m: float, min_votes: int, grids: int, ris
     return merge_pieces(split_bends(points, bars), rise_m=rise_m)
 
 
-def find_struts(voxels: VoxelMap, bars: Segments, hide_m: float, grids: int = GRIDS) -> Segments:
+def find_struts(ridges: Ridges, bars: Segments, hide_m: float, grids: int = GRIDS) -> Segments:
     """The short bars between the ``bars`` of a voxel map. They have few points next to long bars, and their ends lie in
-    the tubes of these. So the search is limited to voxels farther than ``hide_m`` from all bars."""
-    hidden = within(voxels.means(), bars, hide_m)
-    points = ridge_points(voxels, RIDGE_RADIUS_M, RIDGE_SHARE, STRUT_CONTRACT_M, hidden)
+    the tubes of these. So the search is limited to voxels off all surfaces and farther than ``hide_m`` from all bars.
+    """
+    mean = ridges.voxels.means()
+    hidden = within(mean, bars, hide_m) | (ridges.surfaces.label_of(mean) >= 0)
+    points = ridge_points(ridges.voxels, RIDGE_RADIUS_M, RIDGE_SHARE, STRUT_CONTRACT_M, hidden)
     points = voxel_grid(points, STRUT_TUBE_M / math.sqrt(3))
     if len(points) < MIN_VOTES:
         return Segments.empty()

@@ -8,8 +8,8 @@ import numpy as np
 
 from steelnb.core.errors import InputError
 from steelnb.core.types import Array, IntArray, Scan, Segments
-from steelnb.fusion.candidates import TUBE_M, VOXEL_M
 from steelnb.fusion.point_to_bar import BarVoxels, world_points
+from steelnb.fusion.ridges import TUBE_M, VOXEL_M
 from steelnb.points import VoxelMap, smooth_ranges
 from steelnb.settings import StructureSettings
 

@@ -14,9 +14,10 @@ from steelnb.core.types import Array, Scan, Segments
 from steelnb.fusion.adjustment.adjust import adjust
 from steelnb.fusion.adjustment.drift_factors import DRIFT_PERIOD_S
 from steelnb.fusion.bar_fitting import BarFitter
-from steelnb.fusion.candidates import TUBE_M, find_bars, find_struts, merge_pieces
+from steelnb.fusion.candidates import find_bars, find_struts, merge_pieces
 from steelnb.fusion.joints import between_joints, trim_bends
 from steelnb.fusion.mapped_scans import MappedScans
+from steelnb.fusion.ridges import FREE_MIN, TUBE_M, Ridges, freedom_of
 from steelnb.fusion.sections import shapes
 from steelnb.fusion.structure import Structure
 from steelnb.settings import StructureSettings
@@ -36,7 +37,8 @@ def reconstruct(
 
     There are two passes: first the dominant bars, then the shorter ones between them, which become visible once the
     sections of the first are fitted. The axis of a bar is the line through the centroids of its sections. A bar with
-    too few points for its section or direction is dropped, and so are lines in plates (`sections.choose`).
+    too few points for its section or direction is dropped, and so are lines in plates (`sections.choose`), on surfaces
+    such as ground and walls (`Ridges`), and others that do not stand free (`freedom_of`).
 
     Parameters
     ----------
@@ -74,17 +76,19 @@ def reconstruct(
             T_world_sensor, thickness = adjusted.T_world_sensor, adjusted.bars.thickness
     mapped = MappedScans.mapped(scans, T_world_sensor, settings)
     fitter = BarFitter(mapped, thickness)
-    segments, reason = find_bars(mapped.voxels, rise_m=TUBE_M)
+    ridges = Ridges.of(mapped.voxels)
+    segments, reason = find_bars(ridges, rise_m=TUBE_M)
     if not len(segments):
         return Structure.empty(reason)
     _, segments = fitter.refine(segments, rise_m=TUBE_M)
     # Now that axes run through centroids, the voxels near bars hide fewer short bars.
-    struts = find_struts(mapped.voxels, segments, TUBE_M)
+    struts = find_struts(ridges, segments, TUBE_M)
     _, segments = fitter.refine(merge_pieces(Segments.joined((segments, struts)), rise_m=TUBE_M), rise_m=TUBE_M)
     fitted = fitter.fit(trim_bends(segments), every=1)
     fitted = fitted.take(fitted.bars.is_bar & (fitted.tilt <= TILT_MAX_RAD))  # a tilt is NaN if points are too few
+    fitted = fitted.take(freedom_of(ridges.points, fitted.bars.segments, fitted.bars.flange) >= FREE_MIN)
     if not len(fitted.tilt):
-        return Structure.empty("no bar has enough points to determine its direction")
+        return Structure.empty("no bar stands free and has enough points to determine its direction")
     structure = fitted.tied()
     return replace(
         structure, segments=between_joints(structure.segments, structure.joint, structure.tie, fitted.is_weak)

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from steelnb.core.robust import geman_mcclure
 from steelnb.core.types import Array, Segments
-from steelnb.fusion.candidates import TUBE_M
 from steelnb.fusion.joints import TILT_DETERMINED_RAD
+from steelnb.fusion.ridges import TUBE_M
 from steelnb.hough.alternatives.refine import nearest_bar
 
 HALF_WIDTH_SHARE = 0.9

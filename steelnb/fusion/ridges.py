@@ -1,14 +1,54 @@
-"""Ridges in the weights of a voxel map: the voxels along bars, without the range noise around them."""
+"""Ridges in the weights of a voxel map: the voxels along bars, without the range noise around them, and without the
+surfaces, where lines in any direction would pass for bars."""
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from steelnb.core.kernels import njit
-from steelnb.core.types import Array
-from steelnb.points import VoxelMap
+from steelnb.core.types import Array, Segments
+from steelnb.hough.alternatives.refine import nearest_bar
+from steelnb.points import VoxelMap, voxel_grid
+from steelnb.points.surfaces import Surfaces, surfaces_of
 from steelnb.points.voxel_kernels import find, hash_table, offsets_within
+
+TUBE_M, VOXEL_M = 0.06, 0.04
+"""Radius of the tube that contains a bar's points, and edge of the voxels that accumulate the scans. These and the
+other lengths and shares of reconstruction were tuned with ``starling2`` on ``zigzag`` and ``loops`` flights around the
+tower ``tapered`` and one with flanges of 160 mm."""
+RIDGE_RADIUS_M, RIDGE_SHARE, CONTRACT_M = 0.15, 0.2, 0.08
+"""See `ridge_points`."""
+CELL, CELL_VOXELS = 2.5, 1.5
+"""Edge of the cells in which surfaces are sought, in multiples of `VOXEL_M`, and its minimum in voxels of the map."""
+FREE_MIN = 0.6
+"""Minimum freedom of a bar. On a surface it is about a third."""
+SLICE_M, REACH = 0.1, 3.0
+"""Slices in which the freedom is measured, and how many half-widths around the axis."""
+
+
+@dataclass(frozen=True, eq=False)
+class Ridges:
+    """The ridges of a voxel map: ``points (R, 3)``, metres, at most a few to a tube's radius, and the ``surfaces`` of
+    the map, in which no bars are sought."""
+
+    voxels: VoxelMap
+    points: Array
+    surfaces: Surfaces
+
+    @classmethod
+    def of(cls, voxels: VoxelMap, sum_m: float = 0.0) -> "Ridges":
+        """Those of a map; ``sum_m`` as in `ridge_points`."""
+        points = voxel_grid(
+            ridge_points(voxels, RIDGE_RADIUS_M, RIDGE_SHARE, CONTRACT_M, sum_m=sum_m), TUBE_M / math.sqrt(3)
+        )
+        return cls(voxels, points, surfaces_of(voxels, points, max(CELL * VOXEL_M, CELL_VOXELS * voxels.voxel_m)))
+
+    @property
+    def off_surfaces(self) -> Array:
+        """The points that lie on no surface ``(N, 3)``."""
+        return self.points[self.surfaces.label_of(self.points) < 0]
 
 
 def ridge_points(
@@ -38,6 +78,30 @@ def ridge_points(
     remaining = np.where(is_ridge, weight, 0.0)
     around = offsets_within(contract_m + math.sqrt(3) * voxel_m, voxel_m)
     return np.asarray(_contract(key, mean, remaining, around, contract_m, *table)[is_ridge])
+
+
+def freedom_of(points: Array, bars: Segments, width_m: Array) -> Array:
+    """How free each bar stands ``(B,)``: the share of the ``points (N, 3)`` within `REACH` half-widths of its axis that
+    lie within one, as the median over slices along it; 0 without points. Points on other bars do not count.
+
+    ``width_m (B,)``: widths of the bars, NaN if unknown, counted as at least two tube radii.
+    """
+    half_m = np.maximum(0.5 * np.nan_to_num(width_m), TUBE_M)
+    owner = nearest_bar(points, bars, float(half_m.max(initial=TUBE_M)), 0.0)
+    freedom = np.zeros(len(bars))
+    for bar in range(len(bars)):
+        offset = points - bars.start[bar]
+        along = offset @ bars.direction[bar]
+        around = np.flatnonzero((along >= 0) & (along <= bars.length[bar]))
+        across = offset[around] - along[around, None] * bars.direction[bar]
+        distance = np.linalg.norm(across, axis=1)
+        counts = (distance <= REACH * half_m[bar]) & ((owner[around] == bar) | (owner[around] < 0))
+        slices = (along[around][counts] / SLICE_M).astype(np.int64)
+        total = np.bincount(slices)
+        inside = np.bincount(slices[distance[counts] <= half_m[bar]], minlength=len(total))
+        if total.any():
+            freedom[bar] = np.median(inside[total > 0] / total[total > 0])
+    return freedom
 
 
 @njit(cache=True, nogil=True)

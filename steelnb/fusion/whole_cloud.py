@@ -1,6 +1,5 @@
 """The bars of a merged cloud, without scans and poses: lines on ridges of its density, surfaces left out."""
 
-import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -8,13 +7,8 @@ from numpy.typing import NDArray
 
 from steelnb.core.types import Array, IntArray, Segments
 from steelnb.fusion.candidates import (
-    CONTRACT_M,
     GRIDS,
     LENGTH_MIN_M,
-    RIDGE_RADIUS_M,
-    RIDGE_SHARE,
-    TUBE_M,
-    VOXEL_M,
     bars_on_ridges,
     is_held,
     merge_pieces,
@@ -22,21 +16,15 @@ from steelnb.fusion.candidates import (
 )
 from steelnb.fusion.joints import REACH_M, between_joints, find_joints
 from steelnb.fusion.refit import FIT_TUBES, refitted, widths_of
-from steelnb.fusion.ridges import ridge_points
+from steelnb.fusion.ridges import FREE_MIN, SLICE_M, TUBE_M, VOXEL_M, Ridges, freedom_of
 from steelnb.hough.alternatives.refine import nearest_bar
 from steelnb.hough.lines import DX_PER_SPACING, spacing
 from steelnb.hough.whole_structure.search import MIN_VOTES
-from steelnb.points import VoxelMap, voxel_grid
-from steelnb.points.surfaces import Surface, surfaces_of
+from steelnb.points import VoxelMap
+from steelnb.points.surfaces import Surface
 
-CELL, CELL_VOXELS = 2.5, 1.5
-"""Edge of the cells in which surfaces are sought, in multiples of the default voxel, and its minimum in voxels."""
 RISE_M, SUM_VOXELS = 0.2, 1.8
-"""See `merge_pieces`, and ``sum_m`` in `ridge_points`."""
-FREE_MIN = 0.6
-"""Minimum freedom of a bar. On a surface it is about a third."""
-SLICE_M, REACH = 0.1, 3.0
-"""Slices in which the freedom is measured, and how many half-widths around the axis."""
+"""See `merge_pieces`, and ``sum_m`` in `ridge_points`, in voxels."""
 SURE_M = 0.8
 """A bar that is shorter than this needs a bar at each end: where a flight has seen half of a member, it lies askew."""
 BEND_SHARE = 0.95
@@ -143,10 +131,8 @@ def _bars_in_tubes(points: Array, voxel_m: float, min_votes: int) -> CloudBars:
     """`bars_of_cloud` with tubes of `TUBE_M`."""
     voxels = VoxelMap(voxel_m)
     voxels.insert(points)
-    ridge = ridge_points(voxels, RIDGE_RADIUS_M, RIDGE_SHARE, CONTRACT_M, sum_m=SUM_VOXELS * voxel_m)
-    ridge = voxel_grid(ridge, TUBE_M / math.sqrt(3))
-    surfaces = surfaces_of(voxels, ridge, max(CELL * VOXEL_M, CELL_VOXELS * voxel_m))
-    free = ridge[surfaces.label_of(ridge) < 0]
+    ridges = Ridges.of(voxels, SUM_VOXELS * voxel_m)
+    free, surfaces = ridges.off_surfaces, ridges.surfaces
     label = surfaces.label_of(points)
     off, bars = points[label < 0], Segments.empty()
     if len(free) >= min_votes and np.linalg.norm(np.ptp(free, axis=0)) > 2 * LENGTH_MIN_M:
@@ -154,7 +140,7 @@ def _bars_in_tubes(points: Array, voxel_m: float, min_votes: int) -> CloudBars:
         bars, is_weak = refitted(off, split_bends(off, bars, FIT_TUBES * TUBE_M, BEND_SHARE))
         bars = _tied(bars, off, is_weak)
     width_m = widths_of(off, bars)
-    freedom = freedom_of(ridge, bars, width_m)
+    freedom = freedom_of(ridges.points, bars, width_m)
     sure = (freedom >= FREE_MIN) & ((bars.length >= SURE_M) | _held_by_others(bars))
     return CloudBars(bars.take(sure), freedom[sure], width_m[sure], surfaces.described(label), label, voxel_m, TUBE_M)
 
@@ -167,27 +153,6 @@ def _tied(bars: Segments, points: Array, is_weak: NDArray[np.bool_] | None = Non
     if is_weak is not None:
         tied = between_joints(tied, joint, tie, is_weak)
     return merge_pieces(tied, width_m, RISE_M)
-
-
-def freedom_of(points: Array, bars: Segments, width_m: Array) -> Array:
-    """How free each bar stands ``(B,)``: the share of the ``points (N, 3)`` within `REACH` half-widths of its axis that
-    lie within one, as the median over slices along it. Points on other bars do not count."""
-    half_m = np.maximum(0.5 * width_m, TUBE_M)
-    owner = nearest_bar(points, bars, float(half_m.max(initial=TUBE_M)), 0.0)
-    freedom = np.zeros(len(bars))
-    for bar in range(len(bars)):
-        offset = points - bars.start[bar]
-        along = offset @ bars.direction[bar]
-        around = np.flatnonzero((along >= 0) & (along <= bars.length[bar]))
-        across = offset[around] - along[around, None] * bars.direction[bar]
-        distance = np.linalg.norm(across, axis=1)
-        counts = (distance <= REACH * half_m[bar]) & ((owner[around] == bar) | (owner[around] < 0))
-        slices = (along[around][counts] / SLICE_M).astype(np.int64)
-        total = np.bincount(slices)
-        inside = np.bincount(slices[distance[counts] <= half_m[bar]], minlength=len(total))
-        if total.any():
-            freedom[bar] = np.median(inside[total > 0] / total[total > 0])
-    return freedom
 
 
 def _held_by_others(bars: Segments) -> NDArray[np.bool_]:

@@ -15,6 +15,7 @@ from steelnb.fusion.candidates import find_bars
 from steelnb.fusion.incremental import FORGET_FRAMES, SIGHTINGS_MIN, structure_of
 from steelnb.fusion.mapped_scans import MappedScans
 from steelnb.fusion.reconstruct import reconstruct
+from steelnb.fusion.ridges import Ridges
 from steelnb.fusion.structure import Structure
 from steelnb.metrics.segments import match_members
 from steelnb.metrics.structure import Reference, StructureScore, reference, score_structure, toward_sensor_m
@@ -142,7 +143,7 @@ def near_side(run: Rebuilt) -> pd.DataFrame:
     """
     source, s = run.source, StructureSettings()
     T_world_sensor = source.poses[run.poses] @ source.flight.T_drone_sensor
-    middles = find_bars(MappedScans.mapped(source.flight.scans, T_world_sensor, s).voxels)[0]
+    middles = find_bars(Ridges.of(MappedScans.mapped(source.flight.scans, T_world_sensor, s).voxels))[0]
     members = pd.DataFrame((each.kind, each.section_m[0]) for each in source.result.truth.tower.members)
     tables = []
     for axis, bars, on in (

@@ -165,7 +165,7 @@ def surfaces_of(voxels: VoxelMap, ridge: Array, cell_m: float) -> Surfaces:
     return found
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _local_planes(centre, mean, cell, reach, around, key, slot):  # type: ignore[no-untyped-def]
     """Plane through the cells around each cell: a point of it ``(M, 3)``, its normal ``(M, 3)``, and whether it is
     covered ``(M,)`` by those within ``reach`` of it."""

@@ -9,7 +9,8 @@ import numpy as np
 from steelnb.core.errors import InputError
 from steelnb.core.files import display_name, new_folder
 from steelnb.core.types import Array, Segments
-from steelnb.fusion.candidates import LENGTH_MIN_M, TUBE_M
+from steelnb.fusion.candidates import LENGTH_MIN_M
+from steelnb.fusion.ridges import TUBE_M
 from steelnb.fusion.whole_cloud import CloudBars, bars_of_cloud, default_tube
 from steelnb.hough.lines import spacing
 from steelnb.hough.whole_structure.search import MIN_VOTES, within

@@ -1,5 +1,7 @@
 """The final reconstruction of made-up clouds and of simulated scans."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -9,15 +11,18 @@ from scipy.spatial.transform import Rotation
 from steelnb.core.errors import InputError
 from steelnb.experiment import simulate
 from steelnb.fusion import reconstruct
-from steelnb.fusion.candidates import VOXEL_M, find_bars
+from steelnb.fusion.candidates import find_bars
 from steelnb.fusion.joints import find_joints
+from steelnb.fusion.ridges import VOXEL_M, Ridges
 from steelnb.metrics.segments import match_members
 from steelnb.metrics.structure import reference, score_structure
 from steelnb.points import VoxelMap
 from steelnb.settings import ExperimentSettings, StructureSettings
+from steelnb.simulation.members import ON_PLATE
 from steelnb.simulation.truth import SliceCounter
 from tests.fusion.made import around, small_tower
 
+WALL_X_M = 2.2
 CORNERS = np.array([(0, 0, 0), (2, 0, 0), (0, 0, 3), (2, 0, 3)], dtype=float)
 FRAME = CORNERS[[(0, 2), (1, 3), (2, 3), (0, 3), (0, 1)]]
 
@@ -38,7 +43,7 @@ def test_a_frame_is_found_with_its_joints_wherever_it_stands(seed, size, yaw):
     cloud = np.concatenate([tube(*bar, rng) for bar in bars])
     voxels = VoxelMap(VOXEL_M)
     voxels.insert(cloud)
-    found = find_bars(voxels)[0]
+    found = find_bars(Ridges.of(voxels))[0]
     joint, tie, found = find_joints(found, 2 * found.radius)
     match = match_members(found, bars, distance_max_m=0.03)
     assert sorted(match.member) == [0, 1, 2, 3, 4]
@@ -94,6 +99,42 @@ def test_poses_that_move_take_the_structure_along(flown):
     match = match_members(one.transformed(T), np.stack([other.start, other.end], axis=1), distance_max_m=0.05)
     assert match.right.mean() > 0.9
     assert np.nanmedian(match.offset_m) < 0.003
+
+
+def before_a_wall(tower):
+    """The tower with a wall of 10 m by 6 m behind it."""
+    corner = np.array([[WALL_X_M, y, z] for y in (-5.0, 5.0) for z in (0.0, 6.0)])
+    triangle = len(tower.vertices) + np.array([[0, 1, 2], [1, 2, 3]])
+    return replace(
+        tower, vertices=np.concatenate([tower.vertices, corner]), triangles=np.concatenate([tower.triangles, triangle]),
+        triangle_member=np.concatenate([tower.triangle_member, [ON_PLATE, ON_PLATE]]),
+    )  # fmt: skip
+
+
+@pytest.mark.slow
+def test_ground_and_a_wall_behind_the_tower_have_no_bars_and_take_none_away():
+    tower = small_tower()
+    alone, walled = (around(each, 40, 0.01, 1) for each in (tower, before_a_wall(tower)))
+    bars, beside = (
+        reconstruct(flight.scans, flight.prior.T_world_drone, settings=StructureSettings(floor_m=floor_m)).segments
+        for flight, floor_m in ((alone, 0.2), (walled, -1.0))
+    )
+    on_wall = np.abs(beside.middle[:, 0] - WALL_X_M) < 0.3
+    on_ground = np.maximum(beside.start[:, 2], beside.end[:, 2]) < 0.15
+    assert not (on_wall | on_ground).any()
+    match = match_members(bars, np.stack([beside.start, beside.end], axis=1), distance_max_m=0.03)
+    assert match.right.mean() > 0.9
+    assert len(beside) <= 1.1 * len(bars)
+
+
+def test_a_bare_wall_has_no_bars_and_the_reason_says_where_its_points_are():
+    walled = before_a_wall(small_tower())
+    on_wall = walled.triangle_member == ON_PLATE
+    wall = replace(walled, triangles=walled.triangles[on_wall], triangle_member=walled.triangle_member[on_wall])
+    flight = around(wall, 40, 0.01, 1)
+    found = reconstruct(flight.scans, flight.prior.T_world_drone)
+    assert not len(found)
+    assert "on surfaces" in found.reason
 
 
 @pytest.mark.slow

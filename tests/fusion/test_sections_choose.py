@@ -10,6 +10,7 @@ from steelnb.fusion import reconstruct
 from steelnb.fusion.bar_fitting import BarFitter
 from steelnb.fusion.candidates import find_bars
 from steelnb.fusion.mapped_scans import MappedScans
+from steelnb.fusion.ridges import Ridges
 from steelnb.fusion.sections import choose, fit, shapes
 from steelnb.fusion.sections.histogram import VIEWS
 from steelnb.metrics.segments import match_members
@@ -42,7 +43,7 @@ def test_the_axes_of_tubes_are_found_from_one_side_and_from_all(radius_m, side):
     tower, settings = build_tubes(AXES, radius_m), StructureSettings(adjust=False)
     flight = around(tower, 160, noise_m=0.01, seed=11, turn_rad=SIDES[side])
     T = flight.prior.T_world_drone
-    plain, _ = find_bars(MappedScans.mapped(flight.scans, T, settings).voxels)
+    plain, _ = find_bars(Ridges.of(MappedScans.mapped(flight.scans, T, settings).voxels))
     assert np.nanmedian(offsets(plain, tower)) > 0.2 * radius_m  # the bias to the near side
     found = reconstruct(flight.scans, T, settings=settings)
     off = offsets(found.segments, tower)

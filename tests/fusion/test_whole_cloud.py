@@ -5,7 +5,8 @@ import pytest
 
 from steelnb.core.types import Segments
 from steelnb.fusion.refit import widths_of
-from steelnb.fusion.whole_cloud import bars_of_cloud, freedom_of
+from steelnb.fusion.ridges import freedom_of
+from steelnb.fusion.whole_cloud import bars_of_cloud
 from steelnb.metrics.segments import match_members
 from steelnb.points import voxel_grid
 from tests.lattice import lattice, scanned

@@ -11,9 +11,9 @@ from steelnb.fusion.adjustment.point_factors import PointEquations, linearised
 from steelnb.fusion.adjustment.problem import Bars, Problem
 from steelnb.fusion.adjustment.solver import improve
 from steelnb.fusion.bar_fitting import BarFitter
-from steelnb.fusion.candidates import TUBE_M
 from steelnb.fusion.mapped_scans import MappedScans
 from steelnb.fusion.point_to_bar import BarVoxels, Observations
+from steelnb.fusion.ridges import TUBE_M
 from steelnb.fusion.sections import shapes
 
 Stages = tuple[tuple[int, int], ...]

@@ -7,8 +7,8 @@ from steelnb.core.types import Array, Imu, Scan, Trajectory
 from steelnb.fusion.adjustment.adjust import adjust
 from steelnb.fusion.adjustment.imu_factors import Inertial
 from steelnb.fusion.adjustment.problem import Problem
-from steelnb.fusion.candidates import VOXEL_M
 from steelnb.fusion.mapped_scans import MappedScans, insert_scan
+from steelnb.fusion.ridges import VOXEL_M
 from steelnb.points import VoxelMap
 from steelnb.settings import ImuSettings, StructureSettings
 

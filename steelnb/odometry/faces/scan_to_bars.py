@@ -13,8 +13,8 @@ from steelnb.core.types import Array, IntArray, Scan
 from steelnb.fusion.adjustment import drift_factors
 from steelnb.fusion.adjustment.point_factors import FACE_DOF, linearised, noise_ratio
 from steelnb.fusion.adjustment.problem import Bars, Problem
-from steelnb.fusion.candidates import VOXEL_M
 from steelnb.fusion.point_to_bar import BarVoxels, Observations, face_residuals, world_points
+from steelnb.fusion.ridges import VOXEL_M
 from steelnb.fusion.sections.shapes import THICKNESS_SPREAD
 
 MATCH_REACH_M, MATCH_MARGIN_M = 0.15, 0.03
