@@ -34,7 +34,7 @@ such as zeros among the coordinates of a survey."""
 STEP_MAX_M, FAR_FROM_ZERO_M, ROUNDED_POINTS = 0.02, 1e4, 100
 """Largest step between coordinates; those below the second are left as they are, as are few points."""
 LINES_COUNTED = 10
-"""Minimum number of lines that a first column of consecutive whole numbers counts."""
+"""Minimum number of points that a first column in equal steps numbers."""
 CHANNELS_MAX = 16
 """An array (3, N) has more columns than this, an array (N, 3 or more) at most as many."""
 AXIS = ("(?:pos|position|point|coord|coordinate|p|points_m_xyz|cartesian)_?{}", "{}_?(?:coord|coordinate|pos)")
@@ -148,11 +148,12 @@ def _read_npy(path: Path) -> Any:
     if not isinstance(stored, np.ndarray) or (stored.dtype.names is None and stored.dtype.kind not in "fiu"):
         raise ValueError(f"{getattr(stored, 'dtype', 'an archive')}; expected numbers")
     if stored.dtype.names is not None:
-        if not {"x", "y", "z"} <= {*stored.dtype.names}:
+        field = {name.lower(): name for name in stored.dtype.names}
+        if not {"x", "y", "z"} <= field.keys():
             raise ValueError(f"fields {', '.join(stored.dtype.names)[:80]}; expected x, y and z")
-        if any(stored.dtype[axis].shape for axis in "xyz"):
-            raise ValueError(f"x, y and z of type {stored.dtype['x']}; expected a number each")
-        return np.stack([stored[axis].astype(np.float64) for axis in "xyz"], axis=-1)
+        if any(stored.dtype[field[axis]].shape for axis in "xyz"):
+            raise ValueError(f"x, y and z of type {stored.dtype[field['x']]}; expected a number each")
+        return np.stack([stored[field[axis]].astype(np.float64) for axis in "xyz"], axis=-1)
     may_be_axes = stored.ndim in (2, 3) and len(stored) in (3, 4)
     if may_be_axes and stored.shape[-1] > CHANNELS_MAX:
         stored = np.moveaxis(stored, 0, -1)  # one row an axis
@@ -160,30 +161,43 @@ def _read_npy(path: Path) -> Any:
         raise ValueError(f"an array of shape {stored.shape}: its rows may be points or axes; expected (N, 3)")
     if stored.ndim not in (2, 3) or not 3 <= stored.shape[-1] <= CHANNELS_MAX:
         raise ValueError(f"an array of shape {stored.shape}; expected (N, 3) or (H, W, 3)")
+    if stored.ndim == 2 and stored.shape[1] > 3:
+        _check_coordinates(stored[:, 0])
     return stored[..., :3]
 
 
-def _counts(values: Array) -> bool:
-    """Whether these are whole numbers in sequence."""
-    return len(values) >= LINES_COUNTED and bool((np.diff(values) == 1).all() and values[0] == np.round(values[0]))
+def _check_coordinates(values: Any) -> None:
+    """Raise ValueError if the first of more than three columns rises in equal steps: it holds numbers or times."""
+    step = np.diff(np.asarray(values, dtype=np.float64))
+    if len(values) >= LINES_COUNTED and step[0] > 0 and np.abs(step - step[0]).max() <= 1e-6 * step[0]:
+        raise ValueError(
+            f"its first column counts the lines in steps of {step[0]:g}; expected x, y and z first, or names of columns"
+        )
 
 
 def _read_text(path: Path) -> Any:
-    """x, y and z, or east, north and height, by the names of the columns; without names the first three."""
+    """x, y and z, or east, north and height, by the names of the columns; without names the first three, or three lines
+    of many numbers."""
     table = read_table(path)
     number = [table.find(axis, *(form.format(axis) for form in AXIS), other) for axis, other in OTHER_AXES.items()]
     is_unnamed = None in number
     if is_unnamed:
         if table.has_header or any(each is not None for each in number):
             raise ValueError(f"columns {', '.join(table.names)[:80]}; expected x, y and z")
-        number = [0, 1, 2]
-        if table.columns < 3:
-            raise ValueError(f"{table.columns} numbers in line {table.first}; expected x, y and z")
+        if len(table.own) < 3:
+            raise ValueError(f"{len(table.own)} numbers in line {table.first}; expected x, y and z")
+        if len(table.own) > CHANNELS_MAX:  # one line an axis, as in NPY
+            lines = table.values(table.own)
+            if len(lines) != 3:
+                raise ValueError(f"{len(lines)} lines of {len(table.own)} numbers; expected x, y and z in each line")
+            return lines.T
+        begin = next((k for k in range(len(table.said)) if table.said[k : k + 3] == ("x", "y", "z")), 0)
+        number = list(table.own[begin if begin + 3 <= len(table.own) else 0 :][:3])
     elif other := {table.units[k] for k in number if k is not None} - {"", "m"}:
         raise ValueError(f"x, y and z in {', '.join(sorted(other))}; expected metres")
     points = table.values([k for k in number if k is not None])
-    if is_unnamed and table.columns > 3 and _counts(points[:, 0]):
-        raise ValueError("its first column counts the lines; expected x, y and z first, or a line of names")
+    if is_unnamed and len(table.own) > 3:
+        _check_coordinates(points[:, 0])
     return points
 
 

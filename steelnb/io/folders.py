@@ -53,6 +53,7 @@ def open_clouds(path: Path, scans: str | None, poses: str | None) -> Opened:
             raise InputError(
                 f"{path}: {len(files)} clouds, no stamps in their names, and {len(prior)} poses in {trajectory.name}"
                 f"{order}; expected one pose per cloud, or stamps in the names, unlike {files[0].name}"
+                + (f" ({', '.join(file.name for file in strays[:3])} beside them)" if strays else "")
             )
     strays = [file for file in strays if file != trajectory and file.name not in TRUE]
     if strays:
@@ -139,7 +140,10 @@ def _stamps(files: Sequence[Path], prior: Trajectory) -> tuple[Array | None, str
 def _readings(column: Sequence[str], before: Sequence[str] | None, prior: Trajectory) -> Iterator[tuple[Array, str]]:
     """What the same number of all names, and the one before it, may mean: stamps in seconds, and their units."""
     if any("." in number for number in column):
-        yield _decimals(column)
+        stamp_s, units = _decimals(column)
+        is_order = len(prior) == len(column) and not unit_of_stamps(stamp_s) and len(column) > 1
+        if not is_order or _overlap(np.sort(stamp_s), prior.stamp_s) > 0:
+            yield stamp_s, units
         return
     whole = [int(number) for number in column]
     widths = {len(number) for number in column}

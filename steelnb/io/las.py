@@ -1,6 +1,7 @@
 """Reader of LAS files, and of LAZ files by lazrs, whose sizes are checked first (ASPRS LAS 1.0 to 1.4, LASzip 3.4)."""
 
 import io
+import itertools
 import re
 import struct
 from collections.abc import Iterator, Sequence
@@ -26,8 +27,9 @@ LAYERS = {10: 9, 11: 1, 12: 2, 13: 1}
 FEET, UNIT_KEYS = {9002: "feet", 9003: "US survey feet"}, (3076, 4099)
 """Units that are not the metre, and GeoTIFF's keys of the horizontal and the vertical one."""
 LENGTH = re.compile(r'(?<!ANGLE)(?<!SCALE)UNIT\["([^"]+)", *([0-9.eE+-]+)')
+GEOGRAPHIC, PROJECTED = re.compile("GEOGC|GEOGRAPHICCRS|GEODCRS|GEODETICCRS"), re.compile("PROJC|PROJECTEDCRS")
 ANGLE = re.compile("deg|rad|grad|gon", re.IGNORECASE)
-"""Units in a well-known text, and the names of those that are no lengths."""
+"""Units in a well-known text, its names of systems in degrees and in lengths, and names of units of angles."""
 
 
 def read_las(path: Path) -> Array:
@@ -62,17 +64,21 @@ def _end_of_points(file: bytes, size: int) -> int:
     return min([each for each in after if each > 0] + [len(file)])
 
 
-def _records(file: bytes, at: int, end: int, count: int) -> Iterator[tuple[bytes, int, bytes]]:
-    """Author, number and content of each of the header's further records."""
-    while count and at + 54 <= end:
-        author, number, length = struct.unpack_from("<16sHH", file, at + 2)
-        yield author.rstrip(b"\0"), number, file[at + 54 : at + 54 + length]
-        at, count = at + 54 + length, count - 1
+def _records(file: bytes, at: int, end: int, count: int, extended: bool = False) -> Iterator[tuple[bytes, int, bytes]]:
+    """Author, number and content of each of the header's further records, or of the ``extended`` ones after the points,
+    which are like them but for the size of their length."""
+    form, size = ("<16sHQ", 60) if extended else ("<16sHH", 54)
+    while count and at + size <= end:
+        author, number, length = struct.unpack_from(form, file, at + 2)
+        yield author.rstrip(b"\0"), number, file[at + size : at + size + length]
+        at, count = at + size + length, count - 1
 
 
 def _check_metres(file: bytes, at: int, end: int, count: int) -> None:
     """Raise ValueError if a coordinate system is given whose unit is not the metre."""
-    for author, number, content in _records(file, at, end, count):
+    after = struct.unpack_from("<QI", file, 235) if file[25] >= 4 and at >= COUNT_IN_1_4 else (0, 0)
+    extended = _records(file, after[0], len(file), after[1], extended=True) if after[0] else ()
+    for author, number, content in itertools.chain(_records(file, at, end, count), extended):
         unit = ""
         if author == b"LASF_Projection" and number == 34735:
             entries = struct.iter_unpack("<4H", content[8 : 8 + (max(len(content), 8) - 8) // 8 * 8])
@@ -83,7 +89,7 @@ def _check_metres(file: bytes, at: int, end: int, count: int) -> None:
             text = content.decode("utf-8", "replace")
             lengths = [(name, float(size)) for name, size in LENGTH.findall(text) if not ANGLE.match(name)]
             unit = next((name for name, size in lengths if abs(size - 1) > 1e-9), "")
-            unit = "degrees" if "GEOG" in text and "PROJC" not in text else unit
+            unit = "degrees" if GEOGRAPHIC.search(text) and not PROJECTED.search(text) else unit
         if unit:
             raise ValueError(f"coordinates in {unit}, as its coordinate system says; expected metres")
 

@@ -80,7 +80,8 @@ def depth_layout(image: Any) -> Layout:
 
 def xyz_fields(message: Any) -> list[Any]:
     """The fields x, y and z of a PointCloud2."""
-    fields = {field.name: field for field in reversed(message.fields) if field.datatype in POINT_TYPES}
+    numeric = [field for field in message.fields if field.datatype in POINT_TYPES]
+    fields = {field.name.lower(): field for field in reversed(numeric)}
     if not all(axis in fields for axis in "xyz"):
         names = ", ".join(str(field.name) for field in message.fields) or "none"
         kinds = {int(field.datatype) for field in message.fields if field.name in "xyz"} - POINT_TYPES.keys()
@@ -106,7 +107,7 @@ def _row_step(name: str, declared: int, rows: int, columns: int, step: int, size
         # Another size of a point fits exactly: with the stated one, most points would be read from the wrong bytes.
         raise InputError(f"{size} bytes of data are {fits} for each of {rows} × {columns}; expected {step}, as stated")
     if rows == 1:  # many drivers leave it at zero, and nothing needs it
-        is_row = size in (tight, declared)
+        is_row = size == tight or (size == declared and size - tight <= max(PADDING_MAX, step - 1))
         return tight, "" if is_row else f"data are {size - tight} bytes longer than their points: the rest is left out"
     if declared >= tight and as_stated:
         pad = declared - tight

@@ -7,9 +7,10 @@ from pathlib import Path
 import numpy as np
 
 from steelnb.core.types import Array
+from steelnb.io.encodings import plain_nan
 from steelnb.io.lzf import lzf_unpacked
 from steelnb.io.records import HEADER_MAX, is_whole, xyz_of
-from steelnb.io.text import WINDOWS_NAN, Table
+from steelnb.io.text import Table
 
 LZF_RATIO_MAX = 88
 """A reference of three bytes copies at most 264 of them."""
@@ -54,7 +55,7 @@ def read_pcd(path: Path) -> Array:
     fields = [(kind, header.offset(k)) for kind, k in zip(header.kind, header.number, strict=True)]
     if header.encoding == "ascii":
         begins = [sum(header.count[:k]) for k in header.number]
-        text = WINDOWS_NAN.sub(b"nan", data)
+        text = plain_nan(bytes(data))
         points = Table(text, sum(header.count), first=file[: len(file) - len(data)].count(b"\n") + 1).values(begins)
         if header.chosen(len(points)) != len(points):
             raise ValueError(f"{len(points)} lines of points; its header says {header.chosen(len(points))}")

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from steelnb.core.types import Array
+from steelnb.io.encodings import plain_nan
 from steelnb.io.records import HEADER_MAX, is_whole, xyz_of
 from steelnb.io.text import Table
 
@@ -51,7 +52,7 @@ def read_ply(path: Path) -> Array:
         if is_last and after.strip():
             raise ValueError(f"more bytes than those of {count} vertices of {sum(sizes)} bytes, as its header says")
         return xyz_of(data[min(before, len(data)) :], count, sum(sizes), [(types[k], sum(sizes[:k])) for k in number])
-    text = bytes(data)
+    text = plain_nan(bytes(data))
     if before:
         text = b"".join(text.splitlines(keepends=True)[before:])
     points = Table(text, len(names), first=len(lines) + before + 1).values(number, None if is_last else count)

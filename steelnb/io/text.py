@@ -1,6 +1,5 @@
 """Tables of numbers in text files, with the separators, names and comments of many programs."""
 
-import codecs
 import csv
 import io
 import re
@@ -13,11 +12,10 @@ import numpy as np
 import pandas as pd
 
 from steelnb.core.types import Array
+from steelnb.io.encodings import decoded, plain_nan
 
 HEAD_BYTES, COLUMNS_MAX = 1 << 16, 1000
 """The form of a table is found in its first bytes; no table of points or poses has so many columns."""
-MARKS = {codecs.BOM_UTF8: "utf-8", codecs.BOM_UTF16_LE: "utf-16-le", codecs.BOM_UTF16_BE: "utf-16-be"}
-WINDOWS_NAN = re.compile(rb"-?1\.#(?:IND|QNAN|SNAN|INF)\d*")
 COMMENT = re.compile(rb"^[ \t]*(?://|%|#)", re.MULTILINE)
 NOT_A_NUMBER = ("", "nan", "NaN", "NAN", "-nan", "-NaN", "nan(ind)", "-nan(ind)", "NA", "N/A", "null", "NULL", "None")
 UNITS = {
@@ -26,6 +24,7 @@ UNITS = {
     "ns": "ns nsec nsecs nanosec nanosecs nanoseconds", "deg": "deg degree degrees °", "rad": "rad radian radians",
 }  # fmt: skip
 UNIT_OF = {word: unit for unit, words in UNITS.items() for word in words.split()}
+QUOTED = re.compile('"[^"]*"')
 DECIMAL_COMMA = re.compile(r"[+-]?\d+(?:,\d+)?(?:[eE][+-]?\d+)?")
 
 
@@ -37,6 +36,8 @@ class Table:
     ``decimal``. ``names``: of the columns, in lower case, with ``_`` for all other signs, and ``units`` ("" if not
     given); both are empty without names. ``has_header``: the names stand in a line of their own, not in a comment.
     ``declared``: number of lines according to the first one; ``first``: number of the first line in the file.
+    For tables without names, ``own``: the columns without one that numbers the lines and an empty last one; ``said``:
+    words of comments, in the form of names.
     """
 
     data: bytes
@@ -48,6 +49,8 @@ class Table:
     has_header: bool = False
     declared: int | None = None
     first: int = 1
+    own: tuple[int, ...] = ()
+    said: tuple[str, ...] = ()
 
     def find(self, *patterns: str) -> int | None:
         """Number of the column whose name matches the first of these patterns that any name matches, or None.
@@ -69,6 +72,7 @@ class Table:
         """
         if self.columns > 8 and self.columns * self.data.count(b"\n") > len(self.data):
             self._check((), rows)  # pandas would fill up short lines, in much memory
+        self._check_signs(wanted)
         rows = rows if rows is None else min(rows, len(self.data))
         try:
             with warnings.catch_warnings():
@@ -80,7 +84,7 @@ class Table:
                 )  # fmt: skip
         except (ValueError, OverflowError):  # pandas names neither the line nor the text
             self._check(wanted, rows)
-            raise ValueError("no lines of numbers that can be read") from None
+            raise ValueError(f"no lines of numbers that can be read from line {self.first} on") from None
         if len(table.columns) != self.columns or table.iloc[:, -1].isna().any():  # short lines end in NaN
             self._check((), rows)
         if self.declared is not None and self.declared != len(table):
@@ -104,58 +108,90 @@ class Table:
             if seen == rows:
                 return
 
+    def _check_signs(self, wanted: Sequence[int]) -> None:
+        """Raise ValueError for what pandas leaves out without a word: all lines up to the next quotation mark, if one
+        is not closed, and a line whose label begins with the sign of a comment."""
+        quotes, labels = b'"' in self.data, b"#" in self.data and self.separator != " " and 0 not in wanted
+        for number, line in enumerate(self.data.splitlines() if quotes or labels else (), self.first):
+            if line.partition(b"#")[0].count(b'"') % 2:
+                raise ValueError(f"line {number} has a quotation mark that is not closed")
+            if labels and line.lstrip().startswith(b"#"):
+                cells = _split(line.decode("utf-8", "replace").replace('"', ""), self.separator)
+                if len(cells) == self.columns and all(_is_number(cells[k], self.decimal) for k in wanted):
+                    raise ValueError(f"line {number} begins like a comment, but has all {len(cells)} fields")
+
 
 def read_table(path: Path) -> Table:
     """Find the form of the table in a file. Its separator is what stands in its first line of numbers.
 
     The names of the columns stand in the line before, or in a comment before (``#``, ``//``, ``%``) that has as many
-    words as the line has numbers. A first line with one integer is a count. Raises ValueError.
+    words as the line has numbers, or begins with more or fewer of them. A first line with one integer is a count, and
+    one with 0, 1, 2, … numbers the columns. Raises ValueError.
     """
-    data = path.read_bytes()
-    for mark, encoding in MARKS.items():
-        if data.startswith(mark):
-            data = data.removeprefix(mark)
-            data = data if encoding == "utf-8" else data.decode(encoding, "replace").encode()
-    if b"#" in data:  # NaN and infinity of some programs for Windows
-        data = WINDOWS_NAN.sub(b"nan", data)
+    data = plain_nan(decoded(path.read_bytes()))
     if b"/" in data or b"%" in data:
         data = COMMENT.sub(b"#", data)
-    lines = data[:HEAD_BYTES].splitlines(keepends=True)
-    lines = lines[:-1] if len(data) > HEAD_BYTES and len(lines) > 1 else lines
-    content = [k for k, line in enumerate(lines) if line.partition(b"#")[0].strip()]
+    lines, size = list[bytes](), HEAD_BYTES
+    content = list[int]()
+    while len(content) < 2 and size < 4 * max(len(data), HEAD_BYTES + 1):
+        lines = data[:size].splitlines(keepends=True)
+        lines = lines[:-1] if len(data) > size and len(lines) > 1 else lines
+        content = [k for k, line in enumerate(lines) if line.partition(b"#")[0].strip()]
+        size *= 4
     if not content:
         raise ValueError("no line of numbers")
     texts = [line.decode("utf-8", "replace").strip() for line in lines]
     comments = [text.lstrip("#").strip() for text in texts[: content[0]] if text.startswith("#")]
     bodies = [texts[k].partition("#")[0].strip() for k in content]
-    declared, names = None, None
+    declared, names, heading_at = None, None, 0
     # A first line with one integer is a count, unless the table has one column.
     if len(bodies) > 1 and re.fullmatch("[0-9]{1,18}", bodies[0]) and re.search(r"\S[\s,;]+\S", bodies[1]):
         declared = int(bodies[0])
         content, bodies = content[1:], bodies[1:]
     heading = _split(bodies[0], "\t" if "\t" in bodies[0] else _separator(bodies[0])[0])
-    if not any(_is_number(cell, decimal) for cell in heading for decimal in ".,"):
-        names = heading
+    is_index = len(bodies) > 1 and heading[0] == "" and _counts(heading[1:])  # as pandas writes it
+    if is_index or (_counts(heading) and "," in bodies[0] and "." in "".join(bodies[1:2])):
+        content, bodies = content[1:], bodies[1:]
+    elif not any(_is_number(cell, decimal) for cell in heading for decimal in ".,"):
+        names, heading_at = heading, content[0]
         content, bodies = content[1:], bodies[1:]
         if not bodies:
             raise ValueError(f"{_quoted(' '.join(heading))} and no line of numbers after it")
     separator, decimal = _separator(bodies[0])
     if "\t" in bodies[0] and names and "\t" in texts[content[0] - 1]:
         separator = "\t"  # the words of a name, and missing numbers, are kept together
-    if separator in ";\t" and any(re.search(r"\d,\d", body) for body in bodies):
-        decimal = "." if any(re.search(r"\d\.\d", body) for body in bodies) else ","
+    decimal = "," if _has_decimal_commas(bodies, separator) else decimal
     cells = _split(bodies[0], separator)
-    if len(cells) > COLUMNS_MAX or not any(_is_number(cell, decimal) for cell in cells):
+    if not any(_is_number(cell, decimal) for cell in cells):
         raise ValueError(f"line {content[0] + 1}: {_quoted(bodies[0])}; expected numbers")
-    if names is not None and len(names) != len(cells) - (len(cells) > 1 and not cells[-1]):
+    if len(cells) > COLUMNS_MAX:
+        raise ValueError(f"line {content[0] + 1} has {len(cells)} numbers; expected those of one point or pose a line")
+    is_open = len(cells) > 1 and not cells[-1]
+    if names is not None and len(names) not in (len(cells), len(cells) - is_open):
         raise ValueError(f"{len(names)} names of columns, but {len(cells)} fields in line {content[0] + 1}")
-    in_comment = next((words for words in map(_words, reversed(comments)) if len(words) == len(cells)), [])
+    first = content[0] if names is None else heading_at + 1  # a label below it may look like a comment
+    said = [_words(comment) for comment in reversed(comments)]
+    in_comment = next((words for words in said if len(words) == len(cells)), [])
     plain = [_plain(name) for name in (in_comment if names is None else names)]
-    begin = sum(map(len, lines[: content[0]]))
+    begin = sum(map(len, lines[:first]))
     return Table(
         data[begin:] if begin else data, len(cells), separator, decimal, tuple(name for name, _ in plain),
-        tuple(unit for _, unit in plain), names is not None, declared, content[0] + 1,
+        tuple(unit for _, unit in plain), names is not None, declared, first + 1,
+        tuple(range(is_index, len(cells) - is_open)), tuple(_plain(word)[0] for words in said for word in words),
     )  # fmt: skip
+
+
+def _counts(cells: list[str]) -> bool:
+    """Whether these are 0, 1, 2, …: columns without names."""
+    return len(cells) > 2 and cells == [str(k) for k in range(len(cells))]
+
+
+def _has_decimal_commas(lines: list[str], separator: str) -> bool:
+    """Whether numbers in these lines have commas instead of points: between other separators or in quotes."""
+    pattern = r'"[+-]?\d+,\d+' if separator == "," else r"\d,\d"
+    if not any(re.search(pattern, line) for line in lines) or any(re.search(r"\d\.\d", line) for line in lines):
+        return False
+    return separator != " " or all(DECIMAL_COMMA.fullmatch(word) for line in lines for word in line.split())
 
 
 def _words(comment: str) -> list[str]:
@@ -179,6 +215,7 @@ def _plain(name: str) -> tuple[str, str]:
 
 def _separator(line: str) -> tuple[str, str]:
     """Separator and decimal sign of a line of numbers."""
+    line = QUOTED.sub("0", line)
     if ";" in line:
         return ";", "."
     words = line.split()
@@ -190,8 +227,8 @@ def _separator(line: str) -> tuple[str, str]:
 
 
 def _split(line: str, separator: str) -> list[str]:
-    if separator == " ":
-        return line.split()
+    if separator == " ":  # what pandas takes for white space
+        return re.split(r"[ \t]+", line.strip())
     return [cell.strip() for cell in next(csv.reader([line], delimiter=separator, skipinitialspace=True))]
 
 
@@ -200,7 +237,7 @@ def _is_number(cell: str, decimal: str) -> bool:
         float(cell.replace(decimal, "."))
     except ValueError:
         return False
-    return decimal == "." or "." not in cell
+    return "_" not in cell and (decimal == "." or "." not in cell)
 
 
 def _quoted(text: str) -> str:

@@ -20,13 +20,14 @@ GAP_MAX_S = 0.5, 2.0
 """Bounds of the longest gap that is interpolated. A drone may turn and stop in a longer one."""
 
 SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
-UNIX_S, STEP_MAX_S = (9e8, 4.3e9), 60.0
-"""Unix times of 1998 to 2106; a longer median interval of poses shows that the stamps are not seconds."""
+UNIX_S, STEP_MAX_S, SPEED_MAX = (9e8, 4.3e9), 2.0, 100.0
+"""Unix times of 1998 to 2106; a longer median interval of poses (nothing is interpolated across it) shows that other
+stamps are not seconds, and a higher median speed in m/s that positions or stamps have another unit."""
 ROTATION_TOLERANCE, QUATERNION_TOLERANCE, LENGTHS = 1e-2, 0.05, (0.5, 2.0)
 """Maximum errors of rotation matrices and of the length of most quaternions, beyond which the numbers are something
 else; and bounds of the length of a single quaternion, which is normalised."""
 OUT_OF_ORDER = "pose out of order, sorted by its stamp"
-STAMPS = ("(?:.*_)?header_stamp", "(?:time_?)?stamp", "(?:.*_)?(?:time|stamp|timestamp)|t|")
+STAMPS = ("(?:.*_)?header_stamp", "(?:time_?)?stamp", "time|t", "(?:.*_)?(?:time|stamp|timestamp)|")
 """Patterns of the names of stamps, the preferred first; "" stands for names that are units, such as sec and nsec."""
 TUM = ("stamp", "x", "y", "z", "qx", "qy", "qz", "qw")
 QUATERNION = TUM[4:]
@@ -53,15 +54,14 @@ def read_trajectory(path: Path | str, skipped: Counter[str] | None = None) -> Tr
     path = Path(path)
     with reading(path, "a TUM trajectory (stamp x y z qx qy qz qw) or one with names of columns"):
         table = read_table(path)
-        if table.columns == 12 and not any(re.fullmatch(STAMPS[-1], name) for name in table.names):
-            rows = _kitti(path, table)
+        number = {role: table.find(*patterns) for role, patterns in ROLES.items()}
+        if any(k is not None for k in number.values()):
+            rows, unit = _named(table, number)
+        elif len(table.own) == 12 and not table.has_header:
+            rows, unit = _kitti(path, table), ""
         else:
-            number = {role: table.find(*patterns) for role, patterns in ROLES.items()}
-            rows = _named(table, number) if any(k is not None for k in number.values()) else _tum(table)
-        if len(rows) > 1 and (step := abs(float(np.median(np.diff(rows[:, 0]))))) > STEP_MAX_S:
-            raise ValueError(
-                f"stamps {step:.4g} s apart; expected seconds, or their unit in the column's name (stamp_ns)"
-            )
+            rows, unit = _tum(table), ""
+        _check_units(rows, unit)
     return trajectory_of(path, rows, Counter() if skipped is None else skipped)
 
 
@@ -69,6 +69,25 @@ def unit_of_stamps(stamps: Array) -> str | None:
     """The unit in which these are Unix times of this century: s, ms, us or ns; None for other stamps."""
     typical = float(np.median(np.abs(stamps[np.isfinite(stamps)]))) if np.isfinite(stamps).any() else 0.0
     return next((unit for unit, s in SECONDS.items() if UNIX_S[0] <= typical * s <= UNIX_S[1]), None)
+
+
+def _check_units(rows: Array, unit: str) -> None:
+    """Raise ValueError if poses are so far apart that their stamps, whose ``unit`` is "" if not given, are no seconds,
+    or that their positions are no metres."""
+    rows = rows[np.isfinite(rows[:, :4]).all(axis=1)]
+    if len(rows) < 2:
+        return
+    step_s, way_m = np.abs(np.diff(rows[:, 0])), np.linalg.norm(np.diff(rows[:, 1:4], axis=0), axis=1)
+    typical_s = float(np.median(step_s))
+    if typical_s > STEP_MAX_S and not unit and not unit_of_stamps(rows[:, 0]):
+        raise ValueError(
+            f"stamps {typical_s:.4g} s apart; expected seconds, or their unit in the column's name (stamp_s, stamp_ns)"
+        )
+    if np.median(way_m - SPEED_MAX * step_s) > 0 and np.median(way_m) <= COORDINATE_MAX_M:
+        raise ValueError(
+            f"poses {np.median(way_m):.4g} m apart after {typical_s:.4g} s; expected positions in metres, and stamps in"
+            " seconds or with their unit in the column's name (stamp_ns)"
+        )
 
 
 def _seconds(stamps: Array, unit: str) -> Array:
@@ -81,9 +100,11 @@ def _seconds(stamps: Array, unit: str) -> Array:
 def _tum(table: Table) -> Array:
     if table.has_header:
         raise ValueError(f"columns {', '.join(table.names)[:80]}; expected {', '.join(TUM)}")
-    if table.columns != 8:
-        raise ValueError(f"{table.columns} numbers per line, without names; expected 8, or 12 with times.txt beside it")
-    rows = table.values(range(8))
+    if len(table.own) != 8:
+        raise ValueError(
+            f"{len(table.own)} numbers per line, without names; expected 8, or 12 with times.txt beside it"
+        )
+    rows = table.values(table.own)
     rows[:, 0] = _seconds(rows[:, 0], "")
     return rows
 
@@ -92,7 +113,7 @@ def _kitti(path: Path, table: Table) -> Array:
     beside = path.with_name("times.txt")
     if not beside.is_file():
         raise ValueError("12 numbers per line (KITTI) without stamps; expected them in times.txt beside it")
-    T, times = table.values(range(12)).reshape(-1, 3, 4), read_table(beside)
+    T, times = table.values(table.own).reshape(-1, 3, 4), read_table(beside)
     if times.columns != 1:
         raise ValueError(f"times.txt beside it has {times.columns} numbers a line; expected one, the stamp")
     stamps = times.values([0])
@@ -104,8 +125,9 @@ def _kitti(path: Path, table: Table) -> Array:
     return np.column_stack([_seconds(stamps[:, 0], ""), T[:, :, 3], Rotation.from_matrix(R).as_quat()])
 
 
-def _named(table: Table, number: dict[str, int | None]) -> Array:
-    """Rows of ``stamp x y z qx qy qz qw`` from the columns that their names show, in any order."""
+def _named(table: Table, number: dict[str, int | None]) -> tuple[Array, str]:
+    """Rows of ``stamp x y z qx qy qz qw`` from the columns that their names show, in any order; and the unit of the
+    stamps, "" if not given."""
     stamp, angles = _stamp_columns(table), [table.find(rf"(?:.*_)?{name}") for name in ("roll", "pitch", "yaw")]
     by_angles = None not in angles and number["qw"] is None
     turned = angles if by_angles else [number[role] for role in QUATERNION]
@@ -123,25 +145,34 @@ def _named(table: Table, number: dict[str, int | None]) -> Array:
     if len(stamp) == 2:
         stamp_s, values = values[:, 0] + values[:, 1] * SECONDS[table.units[stamp[1]]], values[:, 1:]
     if not by_angles:
-        return np.column_stack([stamp_s, values[:, 1:]])
+        return np.column_stack([stamp_s, values[:, 1:]]), table.units[stamp[0]]
     units = {table.units[k] for k in angles if k is not None}
     if units not in ({"deg"}, {"rad"}):
         raise ValueError("roll, pitch and yaw without their unit; expected names such as roll_deg or roll_rad")
     finite, xyzw = np.isfinite(values).all(axis=1), np.full((len(values), 4), np.nan)
     yaw_pitch_roll = values[finite][:, [6, 5, 4]]
     xyzw[finite] = Rotation.from_euler("ZYX", yaw_pitch_roll, degrees=units == {"deg"}).as_quat()
-    return np.column_stack([stamp_s, values[:, 1:4], xyzw])
+    return np.column_stack([stamp_s, values[:, 1:4], xyzw]), table.units[stamp[0]]
 
 
 def _stamp_columns(table: Table) -> list[int]:
-    """The column of the stamps, or two: of whole seconds, and of the nanoseconds (or micro-) after them."""
+    """The column of the stamps, or two: of whole seconds, and of the nanoseconds (or micro-) after them.
+
+    Raises ValueError if several columns of one unit may be stamps.
+    """
     for pattern in STAMPS:
         found = [k for k, name in enumerate(table.names) if re.fullmatch(pattern, name)]
+        found = [k for k in found if table.names[k] or table.units[k] in SECONDS]
         found.sort(key=lambda k: table.units[k] != "s")
-        if len(found) == 2 and table.units[found[0]] == "s" and table.units[found[1]] in SECONDS:
-            whole, part = table.values(found).T
-            if (whole == np.round(whole)).all() and part.max() * SECONDS[table.units[found[1]]] < 1:
-                return found
+        parts = [k for k in found if table.units[k] in SECONDS and table.units[k] != "s"]
+        if len(parts) == 1 and len(found) > 1 and table.units[found[0]] == "s":
+            whole, part = (values := table.values([found[0], *parts]))[np.isfinite(values).all(axis=1)].T
+            if len(part) and (whole == np.round(whole)).all() and np.median(part) * SECONDS[table.units[parts[0]]] < 1:
+                return [found[0], *parts]
+        if len({table.units[k] for k in found}) < len(found):
+            raise ValueError(
+                f"{len(found)} columns may be stamps: {', '.join(table.names[k] for k in found)}; expected one"
+            )
         if found:
             return found[:1]
     return []

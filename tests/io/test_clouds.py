@@ -140,7 +140,7 @@ def test_texts_of_many_programs_give_the_same_points(content: str, encoding: str
         ("1 2 3\n4 5 6 7\n", "line 2 has 4 fields"),
         ("1,2,3,9\n4,5,6\n", "line 2 has 3 fields"),
         ("1,2,3\n" * 20_000 + "1,5,2,5,3,5\n", "line 20001 has 6 fields"),
-        ("x y z\n1 2 3\n1 2 3,5\n", "line 3: '3,5'; expected a number"),
+        ("x y z\n1 2 3.5\n1 2 3,5\n", "line 3: '3,5'; expected a number"),
         ("3\n1 2 3\n4 5 6\n", "2 lines of numbers; expected 3"),
         ("x_mm,y_mm,z_mm\n1,2,3\n", "in mm; expected metres"),
         ("lat,lon,alt\n48,11,500\n", "columns lat, lon, alt; expected x, y and z"),
@@ -148,7 +148,7 @@ def test_texts_of_many_programs_give_the_same_points(content: str, encoding: str
         ("x y z\n1 2 3 4\n", "3 names of columns, but 4 fields in line 2"),
         (
             "".join(f"{k} 1.5 2.5 3.5\n" for k in range(12)),
-            "first column counts the lines; expected x, y and z",
+            "first column counts the lines in steps of 1; expected x, y and z",
         ),
         ("a b c\n", "no line of numbers"),
         ("", "no line of numbers"),

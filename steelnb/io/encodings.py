@@ -1,0 +1,29 @@
+"""Bytes of text files → UTF-8 as other programs write it."""
+
+import codecs
+import re
+
+MARKS = {codecs.BOM_UTF8: "utf-8", codecs.BOM_UTF16_LE: "utf-16-le", codecs.BOM_UTF16_BE: "utf-16-be"}
+WINDOWS_NAN = re.compile(rb"-?1\.#(?:IND|QNAN|SNAN|INF)\d*")
+GZIP = b"\x1f\x8b"
+
+
+def plain_nan(data: bytes) -> bytes:
+    """The same with the NaN and infinity of some programs for Windows as nan."""
+    return WINDOWS_NAN.sub(b"nan", data) if b"#" in data else data
+
+
+def decoded(data: bytes) -> bytes:
+    """Text in UTF-8, without a mark. Raises ValueError for bytes that are no text."""
+    for mark, encoding in MARKS.items():
+        if data.startswith(mark):
+            data = data.removeprefix(mark)
+            return data if encoding == "utf-8" else data.decode(encoding, "replace").encode()
+    for first, encoding in ((1, "utf-16-le"), (0, "utf-16-be")):  # of digits, every other byte is zero
+        if len(data) > 1 and not data[first:64:2].strip(b"\0"):
+            return data.decode(encoding, "replace").encode()
+    if data.startswith(GZIP):
+        raise ValueError("compressed by gzip; expected plain text (gunzip)")
+    if (at := data.find(b"\0")) >= 0:
+        raise ValueError(f"byte {at} is zero; expected plain text")
+    return data
