@@ -4,6 +4,7 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from steelnb import (
@@ -49,6 +50,21 @@ TAKE_A_CLOUD = {
     "find_bars_by": lambda cloud: find_bars_by("hough", cloud),
     "bend": lambda cloud: metrics.bend(cloud, cloud),
 }
+
+
+@pytest.mark.parametrize("order", ["xyz", "zyx", "iZXY"])
+def test_a_data_frame_is_read_by_the_names_of_its_columns(order):
+    table = pd.DataFrame({name: CLOUD[:, "xyz".index(name.lower())] if name != "i" else 7.0 for name in order})
+    for frame in (table, table.astype("Float64")):
+        found = points.voxel_grid(frame, 0.1)
+        np.testing.assert_array_equal(found, points.voxel_grid(CLOUD, 0.1))
+        np.testing.assert_array_equal(Scan(0.0, frame).points, CLOUD)
+
+
+@pytest.mark.parametrize("take", ["register", "detect_lines", "voxel_grid"])
+def test_coordinates_that_nothing_on_earth_has_are_refused(take):
+    with pytest.raises(InputError, match=r"a coordinate of 1e\+300; expected metres, at most 1e\+08"):
+        TAKE_A_CLOUD[take](np.vstack([CLOUD, [[1e300, 0, 0]]]))
 
 
 @pytest.mark.parametrize("take", TAKE_A_CLOUD)

@@ -13,6 +13,7 @@ from typing import Any, Literal, NamedTuple, ParamSpec, TypeVar
 
 import numpy as np
 
+from steelnb.core.arrays import as_array
 from steelnb.core.checks import quoted, shown
 from steelnb.core.errors import InputError
 
@@ -62,7 +63,8 @@ def checks_arguments(function: Callable[P, R]) -> Callable[P, R]:
         if kind.accepts(value):
             return kind.make(value)
         by = MAKERS.get(kind.words.partition(" ")[0])
-        raise InputError(f"{name} = {shown(value)}: expected {kind.words}{f', as from {by}' if by else ''}")
+        of = f" of {value.dtype}" if "array" in kind.words and hasattr(value, "dtype") else ""
+        raise InputError(f"{name} = {shown(value)}{of}: expected {kind.words}{f', as from {by}' if by else ''}")
 
     @functools.wraps(function)
     def checked(*args: P.args, **kwargs: P.kwargs) -> R:
@@ -79,7 +81,7 @@ def checks_arguments(function: Callable[P, R]) -> Callable[P, R]:
 def _is_numeric(values: Any) -> bool:
     """Whether numbers or truth values can be had as an array."""
     try:
-        return np.asarray(values).dtype.kind in "biuf"
+        return as_array(values).dtype.kind in "biuf"
     except (TypeError, ValueError, RuntimeError):  # ragged lists, and tensors with gradients
         return False
 
@@ -107,7 +109,7 @@ def _demand_of(hint: Any) -> Demand:
         return Demand(callable, "a function")
     elif origin is np.ndarray:
         return Demand(
-            _is_numeric, "an array of numbers", lambda value: value if hasattr(value, "dtype") else np.asarray(value)
+            _is_numeric, "an array of numbers", lambda value: value if hasattr(value, "dtype") else as_array(value)
         )
     elif origin in (collections.abc.Iterable, collections.abc.Sequence):
         return Demand(_is_series, "a sequence")

@@ -12,6 +12,7 @@ from typing import Any, get_args
 import numpy as np
 from numpy.typing import NDArray
 
+from steelnb.core.arrays import as_array, check_coordinates
 from steelnb.core.errors import InputError
 
 _Array = NDArray[np.float64]
@@ -20,9 +21,7 @@ RIGID_TOLERANCE = 1e-3
 SAME_S = 1e-6
 """Stamps that differ by less than a microsecond are the same, at any epoch."""
 INTEGER_MAX = 2**63 - 1
-_CLOUD = "(N, 3) or (H, W, 3)"
-_RIGID = "a rigid transform (4, 4)"
-_LAST_ROW = np.array([0.0, 0.0, 0.0, 1.0])
+_CLOUD, _RIGID = "(N, 3) or (H, W, 3)", "a rigid transform (4, 4)"
 
 
 def guess(name: Any, known: Iterable[str]) -> str:
@@ -175,6 +174,7 @@ def checked_points(points: object, name: str = "points") -> _Array:
     if not np.isfinite(array).all():
         off = int(np.count_nonzero(~np.isfinite(array).all(axis=1)))
         raise InputError(f"{name}: {off} of {len(array)} points not finite; drop them")
+    check_coordinates(array, name)
     return array
 
 
@@ -202,7 +202,7 @@ def _real(values: object, name: str, expected: str) -> _Array:
     try:
         if isinstance(values, np.ma.MaskedArray):
             values = np.ma.filled(values.astype(np.float64), np.nan)
-        array = np.asarray(values)
+        array = as_array(values)
         if array.dtype.kind not in "fiu":
             raise TypeError
         return array.astype(np.float64, copy=False)
@@ -227,7 +227,7 @@ def _check_rigid(T: _Array, name: str, index: str) -> None:
     R = T[:, :3, :3]
     with np.errstate(invalid="ignore", over="ignore"):
         skew = np.abs(R.transpose(0, 2, 1) @ R - np.eye(3)).max(axis=(1, 2), initial=0.0)
-        row = np.abs(T[:, 3] - _LAST_ROW).max(axis=1, initial=0.0)
+        row = np.abs(T[:, 3] - np.eye(4)[3]).max(axis=1, initial=0.0)
         handed = np.linalg.det(R)
     good = (skew <= RIGID_TOLERANCE) & (row <= RIGID_TOLERANCE) & (handed > 0) & np.isfinite(T[:, :3, 3]).all(axis=1)
     if good.all():

@@ -6,6 +6,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from steelnb.core.arguments import checks_arguments
+from steelnb.core.arrays import check_coordinates
 from steelnb.core.checks import checked_cloud, checked_integer, checked_number
 from steelnb.core.errors import InputError
 from steelnb.core.types import Array, Lines
@@ -104,6 +105,7 @@ def distinct_points(points: Array) -> tuple[Array, Array, Array]:
     finite = np.isfinite(points).all(axis=1)
     if not finite.all():
         raise InputError(f"cloud with {np.count_nonzero(~finite)} of {len(points)} points not finite; drop them")
+    check_coordinates(points, "points")
     low, high = points.min(axis=0, initial=np.inf), points.max(axis=0, initial=-np.inf)
     if len(points) < 2 or (low == high).all():
         raise InputError(f"cloud of {len(points)} points, all alike: expected at least two distinct points")

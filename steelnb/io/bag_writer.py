@@ -55,6 +55,8 @@ def write_flight(
 
     path = Path(path)
     check_target(path, overwrite)
+    if not len(flight.scans):
+        raise InputError("flight: no scans; expected at least one to write")
     ros = 1 if path.suffix.lower() == ".bag" else 2
     store = typestore(ros)
     serialize = store.serialize_ros1 if ros == 1 else store.serialize_cdr

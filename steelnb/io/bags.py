@@ -14,7 +14,7 @@ from steelnb.core.types import GRAVITY, Array, Imu, IntArray, Trajectory
 from steelnb.io import messages as ros
 from steelnb.io.clocks import rising_stamps
 from steelnb.io.containers import Container, LostIndexError
-from steelnb.io.frames import Frames, drone_axes, sensor_frames
+from steelnb.io.frames import Frames, drone_axes, sensor_frames, world_axes
 from steelnb.io.headers import Headers, frame_name
 from steelnb.io.opened import Opened
 from steelnb.io.scanning import Raw
@@ -51,7 +51,7 @@ class _Bag:
         self.bag, self.clock, self.headers = container, clock, Headers(container, clock.by_log)
 
     def open(self, scans: str | None, poses: str | None, mount: Array | None) -> Opened:
-        topic, imus = scan_topic(self.bag, scans), self.bag.of_type(ros.IMU)[:1]
+        topic, imus = scan_topic(self.bag, scans), self._imu_topics()
         is_depth = self.bag.types[topic] == ros.IMAGE
         source = pose_source(self.bag, poses, topic)
         self.headers.read(topic, *source.topics, *source.tf, *imus, *(self.bag.of_type(ros.CAMERA) if is_depth else ()))
@@ -83,7 +83,7 @@ class _Bag:
         if source.uses_tf:
             try:
                 world, body = map(tree.resolve, source.pair or check_order(*tree.drone(sensor)))
-                return _turned(tree.poses(world, body), body), world, body, f"tf {world} → {body}"
+                return self._turned(tree.poses(world, body), world, body), world, body, f"tf {world} → {body}"
             except InputError:
                 if not topic:
                     raise
@@ -103,7 +103,14 @@ class _Bag:
         if world and world != body and tree.between(world, body) is None:
             tree.add(world, body, found)
             tree.move_still([(world, body)])
-        return _turned(found, body), world, body, said
+        return self._turned(found, world, body), world, body, said
+
+    def _turned(self, poses: Trajectory, world: str, body: str) -> Trajectory:
+        """Poses of the drone's axes, z up, from those of a frame in a frame of the world."""
+        T_up_world = world_axes(world)
+        if T_up_world[2, 2] < 0:
+            self.headers.notes[f"z points down in {world}: the world is turned about its x axis"] = None
+        return Trajectory(poses.stamp_s, T_up_world @ poses.T_world_drone @ drone_axes(body))
 
     def _path(self, topic: str) -> tuple[Trajectory, str, str]:
         """Poses of a Path topic: those of its longest message, as some grow and others keep the latest poses."""
@@ -118,16 +125,38 @@ class _Bag:
 
     def _cameras(self, topic: str) -> list[tuple[float, ros.CameraInfo]]:
         """The cameras of depth images, each from its stamp on, and notes on what is left out or contradicts."""
-        cameras = self.headers.cameras[camera_topic(self.bag, topic, list(self.headers.cameras))]
+        names = (topic, *self.headers.cameras)
+        cameras = self.headers.cameras[camera_topic(self.bag, topic, {n: self.headers.frame_of[n][0] for n in names})]
+        if "rect" in topic.rpartition("/")[2]:
+            cameras = [(begin_s, camera.rectified()) for begin_s, camera in cameras]
         if len(cameras) > 1:
             self.headers.notes["the CameraInfo changes in flight; each image has that of its time"] = None
         _, camera = cameras[0]
         if camera.distortion:
             self.headers.notes[f"the lens's distortion ({camera.distortion}) is left out"] = None
+        elif not np.allclose(camera.K, camera.rectified().K, rtol=1e-3):
+            self.headers.notes["P of the CameraInfo differs from K, which is used: images may be rectified"] = None
         if self.headers.shape is not None:
             with suppress(InputError):  # it is the fault of each scan
                 self.headers.notes |= dict.fromkeys(filter(None, ros.camera_matrix(camera, *self.headers.shape)[1:]))
         return cameras
+
+    def _imu_topics(self) -> list[str]:
+        """The first topic of an IMU whose readings are all measured, in a list, which is empty if there is none."""
+        topics = self.bag.of_type(ros.IMU)
+        chosen = next(([topic] for topic in topics if self._measures_all(topic)), [])
+        left = [topic for topic in topics if topic not in chosen]
+        if left:
+            self.headers.notes[f"inertial readings of {', '.join(left)} are left out"] = None
+        return chosen
+
+    def _measures_all(self, topic: str) -> bool:
+        """Whether an IMU measures accelerations and angular rates: −1 in a covariance says that it does not."""
+        for raw in self.bag.messages(topic):
+            with suppress(InputError):
+                first = self.bag.decode(raw)
+                return -1 not in (first.angular_velocity_covariance[0], first.linear_acceleration_covariance[0])
+        return True
 
     def _imu(self, topic: str, tree: Tree, body: str) -> Imu:
         """Inertial samples with increasing stamps, in the axes of the drone if a transform relates them."""
@@ -141,8 +170,14 @@ class _Bag:
             rows[:, 1:4] *= GRAVITY
             self.headers.notes[f"accelerations of {topic} are in g, with a median of {size:.2f}"] = None
         first_s = rows[:1, 0] if len(rows) else np.zeros(1)
-        place = tree.place(body, tree.resolve(self.headers.frame_of[topic][0]), first_s)
-        T_drone_imu = np.eye(4) if place is None else drone_axes(body).T @ place.T_target_source[0]
+        frame = self.headers.frame_of[topic][0]
+        place = tree.place(body, tree.resolve(frame), first_s)
+        if place is None:
+            self.headers.notes[f"no transform from {body} to {frame or 'the IMU'}: the axes of the IMU are assumed"] = (
+                None
+            )
+        T_body_imu = drone_axes(body) @ drone_axes(frame).T if place is None else place.T_target_source[0]
+        T_drone_imu = drone_axes(body).T @ T_body_imu
         R_drone_imu = T_drone_imu[:3, :3]
         return Imu(rows[:, 0], rows[:, 1:4] @ R_drone_imu.T, rows[:, 4:] @ R_drone_imu.T)
 
@@ -165,8 +200,3 @@ class _Bag:
                 yield partial(points, raw, k)
             if k >= last:
                 return
-
-
-def _turned(poses: Trajectory, body: str) -> Trajectory:
-    """Poses of the drone's axes from those of a frame, which may be optical."""
-    return Trajectory(poses.stamp_s, poses.T_world_drone @ drone_axes(body))

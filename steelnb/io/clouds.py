@@ -12,6 +12,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from steelnb.core.arguments import checks_arguments
+from steelnb.core.arrays import COORDINATE_MAX_M
 from steelnb.core.checks import check_length, checked_array
 from steelnb.core.errors import InputError
 from steelnb.core.files import new_file, reading
@@ -25,9 +26,6 @@ from steelnb.io.text import read_table
 
 EXTENT_MAX_M, SPACING_MAX_M = 500.0, 1.0
 """A cloud that exceeds both extent and spacing is probably in millimetres: no scanner is that sparse."""
-
-COORDINATE_MAX_M = 1e8
-"""No coordinate is larger: the earth is 4e7 m around. Drivers write such numbers for no return."""
 STRAY_M, STRAY_DISTANCES, STRAY_SHARE = 1e4, 1000.0, 0.01
 """Points farther than both from the median point, in metres and in median distances, are strays if they are so few:
 such as zeros among the coordinates of a survey."""

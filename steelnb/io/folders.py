@@ -142,7 +142,7 @@ def _readings(column: Sequence[str], before: Sequence[str] | None, prior: Trajec
     if any("." in number for number in column):
         stamp_s, units = _decimals(column)
         is_order = len(prior) == len(column) and not unit_of_stamps(stamp_s) and len(column) > 1
-        if not is_order or _overlap(np.sort(stamp_s), prior.stamp_s) > 0:
+        if not is_order or _overlap(np.sort(stamp_s), prior.stamp_s) > OVERLAP_MIN:
             yield stamp_s, units
         return
     whole = [int(number) for number in column]

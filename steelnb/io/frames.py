@@ -14,6 +14,8 @@ from steelnb.io.transforms import Placement, Tree, is_world_name
 
 T_OPTICAL_SENSOR = np.array([[0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1.0]])
 """Rotation from x forward, y left, z up to optical axes: z forward, x right, y down (REP 103)."""
+T_UP_DOWN = np.diag([1.0, -1.0, -1.0, 1.0])
+"""Rotation between axes with z down and y right (NED, FRD) and those with z up and y left (REP 103)."""
 
 
 class Frames(NamedTuple):
@@ -120,8 +122,14 @@ def _source(tree: Tree, body: str, name: str, placed: Placement, is_world: bool)
 
 
 def drone_axes(frame: str) -> Array:
-    """Rotation ``(4, 4)`` from the drone's axes to a frame's: optical axes by its name (REP 103), else the identity."""
-    return T_OPTICAL_SENSOR if is_optical(frame) else np.eye(4)
+    """Rotation ``(4, 4)`` from the drone's axes to a frame's, by its name (REP 103): optical axes, or z down and y
+    right (``_frd``); else the identity."""
+    return T_OPTICAL_SENSOR if is_optical(frame) else T_UP_DOWN if frame.endswith("_frd") else np.eye(4)
+
+
+def world_axes(frame: str) -> Array:
+    """Rotation ``(4, 4)`` from the axes of a frame of the world to those with z up, by its name (``_ned``)."""
+    return T_UP_DOWN if frame.endswith(("_ned", "/ned")) or frame == "ned" else np.eye(4)
 
 
 def is_optical(frame: str) -> bool:

@@ -125,7 +125,13 @@ class Headers:
                 self.unstamped[child] = f"transforms {parent} → {child} move, but all have the stamp {rows[0, 0]:g} s"
                 continue
             if is_static:  # its stamp does not matter, and the last one holds
-                rows = np.array(self._table[key]).reshape(-1, 9)[-1:, [0, *range(2, 9)]]
+                rows = np.array(self._table[key]).reshape(-1, 9)[:, [0, *range(2, 9)]]
+                if np.ptp(rows[:, 1:], axis=0).max() > STILL:
+                    self.notes[
+                        f"the fixed transform {parent} → {child} changes; the last one is used for all scans"
+                    ] = None
+            if is_static or not np.ptp(rows[:, 0]):  # repeated
+                rows = rows[-1:]
             try:
                 tree.add(parent, child, trajectory_of(self._bag.path, rows, self.skipped), is_static)
             except InputError:

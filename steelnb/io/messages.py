@@ -20,7 +20,7 @@ INTEGER_M = 1e-3
 class CameraInfo(NamedTuple):
     """A CameraInfo: ``K (3, 3)`` of an image of ``width × height`` pixels, binned by ``binning``; ``roi`` is the part
     that is sent, as x, y, width, height in unbinned pixels; ``distortion`` names a model with parameters other than
-    zero, else is empty."""
+    zero, else is empty; ``P (3, 3)`` is the K of rectified images, zero if there is none."""
 
     K: Array
     width: int
@@ -28,10 +28,16 @@ class CameraInfo(NamedTuple):
     binning: tuple[int, int]
     roi: tuple[int, int, int, int]
     distortion: str = ""
+    P: Array = np.zeros((3, 3))
 
     def equals(self, other: "CameraInfo") -> bool:
         """Whether all values are equal."""
-        return np.array_equal(self.K, other.K) and self[1:] == other[1:]
+        same = np.array_equal(self.K, other.K) and np.array_equal(self.P, other.P)
+        return same and self[1:-1] == other[1:-1]
+
+    def rectified(self) -> "CameraInfo":
+        """The camera of rectified images, without distortion; the same if its P is not given."""
+        return self._replace(K=self.P, distortion="") if _is_calibrated(self.P) else self
 
 
 @np.errstate(invalid="ignore", over="ignore")
@@ -77,7 +83,12 @@ def camera_of(message: Any) -> CameraInfo:
         int(message.width), int(message.height), (max(int(message.binning_x), 1), max(int(message.binning_y), 1)),
         (int(roi.x_offset), int(roi.y_offset), int(roi.width), int(roi.height)),
         str(message.distortion_model) if parameters.any() else "",
+        np.array(getattr(message, "p", getattr(message, "P", None)), dtype=float).reshape(3, 4)[:, :3],
     )  # fmt: skip
+
+
+def _is_calibrated(K: Array) -> bool:
+    return bool(np.isfinite(K).all() and K[0, 0] > 0 and K[1, 1] > 0)
 
 
 def camera_matrix(camera: CameraInfo, height: int, width: int) -> tuple[Array, str]:
@@ -86,7 +97,7 @@ def camera_matrix(camera: CameraInfo, height: int, width: int) -> tuple[Array, s
     Region, binning and a whole ratio of sizes are accounted for as in ROS's image_geometry. Raises `InputError`.
     """
     K, (x, y, part_width, part_height) = camera.K.copy(), camera.roi
-    if not (np.isfinite(K).all() and K[0, 0] > 0 and K[1, 1] > 0):
+    if not _is_calibrated(K):
         raise InputError(f"CameraInfo with focal lengths {K[0, 0]:g}, {K[1, 1]:g}; expected a calibrated camera")
     whole = camera.width, camera.height
     is_central = 0 <= K[0, 2] <= width and 0 <= K[1, 2] <= height  # all that can be checked without a size

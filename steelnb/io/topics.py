@@ -79,11 +79,27 @@ def pose_source(bag: Container, name: str | None, scans: str) -> PoseSource:
     return PoseSource(tf, topics=(bag.choose("poses", None, others),))
 
 
-def camera_topic(bag: Container, images: str, cameras: list[str]) -> str:
-    """The topic of the camera of some images: the one nearest by name. Raises `InputError`."""
-    folder = images.rpartition("/")[0]
-    near = [name for name in cameras if name.rpartition("/")[0] in (folder, folder.rpartition("/")[0])]
-    return bag.choose(f"CameraInfo of {images}", None, near or cameras)
+def camera_topic(bag: Container, images: str, frame_of: dict[str, str]) -> str:
+    """The topic of the camera of some images: the nearest by name, of several the one in their frame.
+
+    ``frame_of``: frames of the images and of all CameraInfo. Raises `InputError`, also if the only one is that of
+    another camera by its name and by its frame.
+    """
+    cameras, folder = [name for name in frame_of if name != images], images.rpartition("/")[0]
+    near = [[name for name in cameras if name.rpartition("/")[0] == each] for each in (folder, _parent(folder))]
+    found = near[0] or near[1] or cameras
+    found = [name for name in found if frame_of[name] == frame_of[images]] or found if len(found) > 1 else found
+    topic = bag.choose(f"CameraInfo of {images}", None, found)
+    if topic not in (*near[0], *near[1]) and len({frame_of[topic], frame_of[images], ""}) == 3:
+        raise InputError(
+            f"{bag.path}: {images} is in frame {frame_of[images]!r}, and the only CameraInfo, {topic}, in"
+            f" {frame_of[topic]!r}; expected that of its own camera"
+        )
+    return topic
+
+
+def _parent(topic: str) -> str:
+    return topic.rpartition("/")[0]
 
 
 def _tf_topics(bag: Container, scans: str) -> tuple[str, ...]:

@@ -9,11 +9,11 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from steelnb.core.arguments import checks_arguments
+from steelnb.core.arrays import COORDINATE_MAX_M
 from steelnb.core.checks import SAME_S
 from steelnb.core.errors import InputError
 from steelnb.core.files import new_file, reading
 from steelnb.core.types import Array, Trajectory
-from steelnb.io.clouds import COORDINATE_MAX_M
 from steelnb.io.text import Table, read_table
 
 GAP_MAX_S = 0.5, 2.0

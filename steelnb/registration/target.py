@@ -7,6 +7,7 @@ from typing import Protocol
 
 import numpy as np
 
+from steelnb.core.arrays import check_coordinates
 from steelnb.core.checks import checked_choice, checked_cloud
 from steelnb.core.errors import InputError
 from steelnb.core.kernels import njit
@@ -115,6 +116,7 @@ def finite(points: Array, name: str) -> Array:
     points = points[np.isfinite(points).all(axis=1)]
     if not len(points):
         raise InputError(f"{name}: no finite point, expected a cloud (N, 3)")
+    check_coordinates(points, name)
     return np.ascontiguousarray(points)
 
 

@@ -90,12 +90,15 @@ class Bagged:
         data, header = raw.reshape(-1).view(np.uint8), self.make.header(ns(stamp), frame)
         return self.make.make(IMAGE, header, raw.shape[0], raw.shape[1], encoding, 0, raw[0].nbytes, data)
 
-    def camera(self, K=(2.0, 0, 1.0, 0, 4.0, 0.5, 0, 0, 1), size=(2, 3), binning=0, roi=(0, 0, 0, 0), stamp_s=0.0):
+    def camera(
+        self, K=(2.0, 0, 1.0, 0, 4.0, 0.5, 0, 0, 1), size=(2, 3), binning=0, roi=(0, 0, 0, 0), stamp_s=0.0,
+        topic="/depth/camera_info", frame="c", P=(0.0,) * 12, distortion=(0.0,) * 5,
+    ):  # fmt: skip
         part = self.make.make("sensor_msgs/msg/RegionOfInterest", *roi, False)
-        arrays = (np.zeros(5), np.array(K), np.eye(3).ravel(), np.zeros(12))
-        header = self.make.header(ns(stamp_s), "c")
+        arrays = (np.array(distortion), np.array(K), np.eye(3).ravel(), np.array(P))
+        header = self.make.header(ns(stamp_s), frame)
         message = self.make.make(CAMERA, header, *size, "plumb_bob", *arrays, binning, binning, part)
-        self.rows.append(("/depth/camera_info", CAMERA, stamp_s, message))
+        self.rows.append((topic, CAMERA, stamp_s, message))
         return self
 
     def write(self, in_order: bool = True, little_endian: bool = True) -> Path:

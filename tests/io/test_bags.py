@@ -146,6 +146,39 @@ def test_each_depth_image_has_the_camera_info_of_its_time(tmp_path):
     assert "CameraInfo changes" in flight.facts["notes"]
 
 
+RECTIFIED = (4.0, 0, 1.0, 0, 0, 8.0, 0.5, 0, 0, 0, 1, 0)
+
+
+@pytest.mark.parametrize(
+    ("topic", "P", "distortion", "across", "note"),
+    [
+        ("/depth/image_rect", RECTIFIED, (-0.3, 0.1, 0, 0, 0), 1.0, ""),
+        ("/depth/image_rect", (0.0,) * 12, (0.0,) * 5, 2.0, ""),
+        ("/depth/image_raw", RECTIFIED, (-0.3, 0.1, 0, 0, 0), 2.0, "distortion (plumb_bob) is left out"),
+        ("/depth/image_raw", RECTIFIED, (0.0,) * 5, 2.0, "P of the CameraInfo differs from K, which is used"),
+    ],
+)
+def test_rectified_images_have_the_projection_of_the_camera(tmp_path, topic, P, distortion, across, note):
+    bag = Bagged(tmp_path / "a.mcap").images(topic, np.full((2, 3), 2.0, np.float32), "32FC1").odometry()
+    flight = read_flight(bag.camera(P=P, distortion=distortion).write())
+    assert float(np.ptp(flight.scans[0].points[..., 1])) == across
+    notes = flight.facts.get("notes", "")
+    assert note in notes if note else not notes
+
+
+def test_the_camera_is_the_nearest_by_name_then_by_frame_and_no_other_one(tmp_path):
+    depth, other = np.full((2, 3), 2.0, np.float32), (8.0, 0, 1.0, 0, 8.0, 0.5, 0, 0, 1)
+    bag = Bagged(tmp_path / "a.mcap").images("/cam/depth/image", depth, "32FC1", frame="d").odometry()
+    own = bag.camera(topic="/cam/depth/camera_info").camera(other, topic="/cam/camera_info")
+    assert float(np.ptp(read_flight(own.write()).scans[0].points[..., 1])) == 2.0
+    bag = Bagged(tmp_path / "b.mcap").images("/cam/depth/image", depth, "32FC1", frame="d").odometry()
+    by_frame = bag.camera(topic="/a/camera_info", frame="d").camera(other, topic="/b/camera_info", frame="colour")
+    assert float(np.ptp(read_flight(by_frame.write()).scans[0].points[..., 1])) == 2.0
+    bag = Bagged(tmp_path / "c.mcap").images("/cam/depth/image", depth, "32FC1", frame="d").odometry()
+    with pytest.raises(InputError, match="in frame 'd', and the only CameraInfo, /cam/colour/camera_info, in 'colour'"):
+        read_flight(bag.camera(topic="/cam/colour/camera_info", frame="colour").write())
+
+
 def test_depth_images_need_a_camera_info(tmp_path):
     depth = np.ones((2, 3), "<u2")
     with pytest.raises(InputError, match=r"no CameraInfo of /depth/image"):
@@ -192,6 +225,42 @@ def test_inertial_samples_of_no_use_are_left_out(tmp_path, what):
     bag.rows.append(("/imu", "sensor_msgs/msg/Imu", 0.0, b"\0\1\0\0ab" if what == "damaged" else message))
     imu = read_flight(bag.write()).imu
     assert imu is None or len(imu.stamp_s) == 0
+
+
+def test_an_imu_that_does_not_measure_all_gives_way_to_another(tmp_path):
+    bag = Bagged(tmp_path / "a.mcap").clouds().odometry().tf("base_link", "base_link_imu", np.eye(4))
+    for topic, force in (("/a", 1.0), ("/b", 2.0), ("/c", 3.0)):
+        message = bag.make.imu(0, np.full(3, force), np.zeros(3))
+        message.angular_velocity_covariance[0] = -1 if topic == "/a" else 0
+        bag.rows.append((topic, "sensor_msgs/msg/Imu", 0.0, message))
+    flight = read_flight(bag.write())
+    assert flight.facts["imu"] == "/b"
+    assert flight.imu.specific_force.tolist() == [[2.0] * 3]
+    assert "inertial readings of /a, /c are left out" in flight.facts["notes"]
+
+
+def test_an_imu_with_optical_axes_is_turned_without_a_transform(tmp_path):
+    bag = Bagged(tmp_path / "a.mcap").clouds().odometry()
+    message = bag.make.imu(0, np.array([0.0, -9.8, 0.0]), np.array([0.0, 0.0, 1.0]))
+    message.header.frame_id = "camera_imu_optical_frame"
+    bag.rows.append(("/imu", "sensor_msgs/msg/Imu", 0.0, message))
+    flight = read_flight(bag.write())
+    np.testing.assert_allclose(flight.imu.specific_force, [[0, 0, 9.8]])
+    np.testing.assert_allclose(flight.imu.angular_rate, [[1, 0, 0]])
+    assert "no transform from base_link to camera_imu_optical_frame" in flight.facts["notes"]
+
+
+@pytest.mark.parametrize("by_tf", [True, False])
+def test_poses_with_z_down_are_turned(tmp_path, by_tf):
+    bag, flip = Bagged(tmp_path / "a.mcap").clouds().tf("base_link_frd", "tof", MOUNT), np.diag([1.0, -1, -1, 1])
+    for stamp, T in zip(STAMPS, poses(5).T_world_drone, strict=True):
+        if by_tf:
+            bag.tf("odom_ned", "base_link_frd", T, float(stamp), "/tf")
+    path = (bag if by_tf else bag.odometry(child="base_link_frd", frame="odom_ned")).write()
+    flight = read_flight(path)
+    np.testing.assert_allclose(flight.prior.T_world_drone, flip @ poses(5).T_world_drone @ flip, atol=1e-9)
+    np.testing.assert_allclose(flight.T_drone_sensor, flip @ MOUNT, atol=1e-9)
+    assert "z points down in odom_ned" in flight.facts["notes"]
 
 
 @pytest.mark.parametrize("by_tf", [True, False])

@@ -1,5 +1,6 @@
 """Reading clouds of every format."""
 
+import gzip
 from pathlib import Path
 
 import laspy
@@ -123,6 +124,11 @@ def test_scans_keep_their_rows_and_their_invalid_points(tmp_path: Path) -> None:
         "ID\tX (m)\tY (m)\tZ (m)\n7\t1\t2\t3\n8\t4\t5\t6\n", "Easting,Northing,Elevation\n1,2,3\n4,5,6\n",
         'name,"Points:0","Points:1","Points:2"\nA,1,2,3\nB,4,5,6\n',
         "stamp,x,y,z\n12:00 h,1,2,3\n12:01 h,4,5,6\n",
+        # as pandas writes columns without names, with and without its index
+        ",0,1,2\n0,1.0,2.0,3.0\n1,4.0,5.0,6.0\n", "0,1,2\n1.0,2.0,3.0\n4.0,5.0,6.0\n",
+        "x,y,z,\n1,2,3,\n4,5,6,\n", '"1,0","2,0","3,0"\n"4,0","5","6,0"\n', "1 2 3\n4,0 5,0 6,0\n",
+        "# POINT3D_ID, X, Y, Z, R, G, B, TRACK[] as (IMAGE_ID, POINT2D_IDX)\n9 1 2 3 0 0 0\n4 4 5 6 0 0 0\n",
+        "# long\n" * 20_000 + "1 2 3\n4 5 6\n",
     ],
 )  # fmt: skip
 @pytest.mark.parametrize("encoding", ["utf-8", "utf-16"])
@@ -150,6 +156,14 @@ def test_texts_of_many_programs_give_the_same_points(content: str, encoding: str
             "".join(f"{k} 1.5 2.5 3.5\n" for k in range(12)),
             "first column counts the lines in steps of 1; expected x, y and z",
         ),
+        ("".join(f"{0.1 * k:.1f} 1.5 2.5 3.5\n" for k in range(12)), "in steps of 0.1; expected x, y and z first"),
+        ('name,x,y,z\nA,1,2,3\n"B,4,5,6\nC",7,8,9\n', "line 3 has a quotation mark that is not closed"),
+        ("name,x,y,z\n#1,1,2,3\nB2,4,5,6\n", "line 2 begins like a comment, but has all 4 fields"),
+        ("name,x,y,z\nA,1,2,3\n//B,4,5,6\n", "line 3 begins like a comment"),
+        (" ".join(["1"] * 60), "1 lines of 60 numbers; expected x, y and z in each line"),
+        (" ".join(["1"] * 6000), "line 1 has 6000 numbers; expected those of one point"),
+        ("1_0 2 3\n4 5 6\n", "expected numbers|expected a number"),
+        ("1 2 3\n4 5 6\n\0\0\0", "byte 12 is zero; expected plain text"),
         ("a b c\n", "no line of numbers"),
         ("", "no line of numbers"),
         ("1e30 0 1\n0 2e30 0\n1 2 3\n", "2 points farther than 1e.08 m"),
@@ -159,6 +173,21 @@ def test_unclear_texts_are_refused_with_their_line(content: str, message: str, t
     (tmp_path / "a.csv").write_text(content)
     with pytest.raises(InputError, match=rf"a.csv: not a CSV file of points: .*{message}"):
         read_points(tmp_path / "a.csv")
+
+
+def test_a_line_an_axis_is_read_as_in_arrays_and_packed_text_is_named(tmp_path: Path) -> None:
+    np.savetxt(tmp_path / "a.txt", POINTS.T)
+    np.testing.assert_array_equal(read_points(tmp_path / "a.txt"), POINTS)
+    (tmp_path / "a.txt").write_bytes("1 2 3\n4 5 6\n".encode("utf-16-le"))
+    np.testing.assert_array_equal(read_points(tmp_path / "a.txt"), [[1, 2, 3], [4, 5, 6]])
+    (tmp_path / "a.txt").write_bytes(gzip.compress(b"1 2 3\n4 5 6\n"))
+    with pytest.raises(InputError, match=r"a.txt: .*compressed by gzip; expected plain text"):
+        read_points(tmp_path / "a.txt")
+
+
+def test_a_commented_point_of_a_table_of_points_is_a_comment(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text("x,y,z\n1,2,3\n#9,9,9\n4,5,6\n")
+    np.testing.assert_array_equal(read_points(tmp_path / "a.csv"), [[1, 2, 3], [4, 5, 6]])
 
 
 def test_missing_numbers_and_numbers_that_are_no_coordinates_are_no_returns(tmp_path: Path) -> None:
@@ -194,6 +223,12 @@ def test_arrays_with_names_are_read_and_other_types_refused(tmp_path: Path) -> N
     named = np.array([(3, 1, 2, 9), (6, 4, 5, 9)], dtype=[("z", "f4"), ("x", "f4"), ("y", "f8"), ("intensity", "u1")])
     np.save(tmp_path / "a.npy", named)
     np.testing.assert_array_equal(read_points(tmp_path / "a.npy"), [[1, 2, 3], [4, 5, 6]])
+    upper = np.array([(1, 2, 3), (4, 5, 6)], dtype=[(axis, "f4") for axis in "XYZ"])
+    np.save(tmp_path / "a.npy", upper)
+    np.testing.assert_array_equal(read_points(tmp_path / "a.npy"), [[1, 2, 3], [4, 5, 6]])
+    np.save(tmp_path / "a.npy", np.column_stack([np.arange(400.0), POINTS]))
+    with pytest.raises(InputError, match="first column counts the lines in steps of 1"):
+        read_points(tmp_path / "a.npy")
     for other in (
         named[["x", "y"]],
         np.zeros(4, dtype=[("x", "f4", 2), ("y", "f4", 2), ("z", "f4", 2)]),

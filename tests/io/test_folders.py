@@ -91,6 +91,21 @@ def test_numbers_that_count_are_no_stamps(folder: Path, name: str) -> None:
         read_flight(folder)
 
 
+@pytest.mark.parametrize("name", ["{:04d}_r{:.1f}m", "20231114T2213{:02d}.{:03.0f}"])
+def test_decimals_that_are_no_stamps_leave_the_order(folder: Path, name: str) -> None:
+    for k in range(1, 11):
+        (folder / f"scan{k}.npy").rename(folder / f"{name.format(k, 0.5 * k)}.npy")
+    flight = read_flight(folder)
+    np.testing.assert_array_equal(flight.prior.stamp_s, poses(10).stamp_s)
+    assert flight.facts["scans"] == "10 files, in the order of their names"
+
+
+def test_a_cloud_that_is_set_aside_is_named_where_the_count_is_wrong(folder: Path) -> None:
+    (folder / "scan1.npy").rename(folder / "scan.npy")
+    with pytest.raises(InputError, match=r"9 clouds, .* 10 poses .*unlike scan2.npy \(scan.npy beside them\)"):
+        read_flight(folder)
+
+
 def test_other_files_beside_the_scans_are_named(folder: Path) -> None:
     np.save(folder / "map_2.npy", POINTS)
     (folder / "imu.csv").write_text("#timestamp [ns],w_x,w_y,w_z\n1,2,3,4\n")

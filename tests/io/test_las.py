@@ -6,6 +6,7 @@ from pathlib import Path
 import laspy
 import numpy as np
 import pytest
+from laspy.vlrs.vlrlist import VLRList
 
 from steelnb.core.errors import InputError
 from steelnb.io.clouds import read_points
@@ -71,6 +72,7 @@ KEYS = {"degrees": (1024, 2), "US survey feet": (3076, 9003), "feet": (3076, 900
 WKT = {
     "US survey foot": 'PROJCS["a",GEOGCS["b",UNIT["degree",0.0174532925]],UNIT["US survey foot",0.3048006096]]',
     "degrees": 'GEOGCS["WGS 84",DATUM["c",SPHEROID["d",6378137,298.257]],UNIT["degree",0.0174532925199433]]',
+    "degrees (2)": 'GEODCRS["a",DATUM["b",ELLIPSOID["d",6378137,298]],CS[geodetic,2],ANGLEUNIT["degree",0.017]]',
     "": 'PROJCS["a",GEOGCS["b",UNIT["degree",0.0174532925]],UNIT["metre",1]]',
     "foot": 'COMPD_CS["a",PROJCS["b",GEOGCS["c",UNIT["degree",0.017]],UNIT["foot",0.3048]],VERT_CS["d",UNIT["m",1]]]',
 }
@@ -82,11 +84,12 @@ WKT = {
     [(unit, 34735, struct.pack("<8H", 1, 1, 0, 1, key, 0, 1, value)) for unit, (key, value) in KEYS.items()]
     + [(unit, 2112, text.encode() + b"\0") for unit, text in WKT.items()],
 )
+@pytest.mark.parametrize("records", ["vlrs", "evlrs"])
 def test_coordinates_that_are_no_metres_are_refused(
-    suffix: str, unit: str, number: int, content: bytes, tmp_path: Path
+    suffix: str, unit: str, number: int, content: bytes, records: str, tmp_path: Path
 ) -> None:
-    file = laspy.create(point_format=6, file_version="1.4")
-    file.vlrs.append(laspy.VLR("LASF_Projection", number, "", content))
+    file, unit = laspy.create(point_format=6, file_version="1.4"), unit.partition(" (")[0]
+    setattr(file, records, VLRList([laspy.VLR("LASF_Projection", number, "", content)]))
     file.x, file.y, file.z = POINTS[:9].T
     file.write(str(tmp_path / f"a.{suffix}"))
     if not unit:

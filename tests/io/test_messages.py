@@ -94,6 +94,20 @@ def test_a_camera_whose_centre_is_outside_its_image_is_a_fault():
         depth_points(depth()[0], wide)
 
 
+def test_points_that_a_width_leaves_out_are_noted():
+    message = cloud(POINTS.reshape(1, 20, 3))
+    message.width = 10
+    assert cloud_points(message).shape == (10, 3)
+    assert cloud_layout(message).notes == ("data are 120 bytes longer than their points: the rest is left out",)
+
+
+def test_fields_may_have_upper_case_names():
+    message = cloud()
+    for field in message.fields:
+        field.name = field.name.upper()
+    np.testing.assert_array_equal(cloud_points(message), POINTS)
+
+
 def test_fields_are_checked():
     for change, words in {
         "datatype": "fields x, y, z with datatype 9; expected x, y and z of a numeric type",

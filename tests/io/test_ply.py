@@ -31,6 +31,12 @@ for number, name in enumerate("xyz"):
     COLOURED[name] = POINTS[:, number]
 
 
+def test_missing_numbers_in_the_spelling_of_windows_are_nan(tmp_path: Path) -> None:
+    text = header("ascii") + LINES.replace(b"3 4 5", b"1.#QNAN -1.#IND 1.#INF")
+    (tmp_path / "a.ply").write_bytes(text)
+    assert np.isnan(read_points(tmp_path / "a.ply")).any(axis=1).sum() == 1
+
+
 @pytest.mark.parametrize(
     "content",
     [

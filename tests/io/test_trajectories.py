@@ -55,6 +55,16 @@ def named(prefix: str, sign: str = ".") -> str:
             f"Time,header.stamp.secs,header.stamp.nsecs,{named('pose.pose.')},pose.covariance,twist.twist.linear.x\n"
             + "".join(f'{t}.9,{t},500000000,{POSE},"(0.1, 0.2)",7\n' for t in (1700000000, 1700000001)),
         ),
+        (0.5, f",t,{NAMES}\n0,0.5,{POSE}\n1,1.5,{POSE}\n"),
+        (0.5, f"m,rad,time,{NAMES},\n7,7,0.5,{POSE},\n7,7,1.5,{POSE},\n"),
+        (0.5, f"processing_time,time,{NAMES}\n9,0.5,{POSE}\n8,1.5,{POSE}\n"),
+        (0.5, f"0.5,{POSE},\n1.5,{POSE},\n"),
+        (
+            1.7e9 + 0.5,
+            f"stamp.sec,stamp.nanosec,stamp,{NAMES}\n"
+            + "".join(f"{t},{part},{t},{POSE}\n" for t, part in ((1700000000, 500000000), (1700000001, 500000000)))
+            + f",,,{POSE}\n",
+        ),
         (0.5, f"__time,{named('/odom/pose/pose/', '/')}\n0.5,{POSE}\n1.5,{POSE}\n"),
     ],
 )
@@ -107,6 +117,13 @@ def test_an_order_of_columns_that_a_comment_tells_is_used(names: str, tmp_path: 
         ("0 1e30 2 3 0 0 0 1\n", "1 poses, none valid"),
         ("0 1 2 3 0.1 -0.2 1.5 0.9\n1 1 2 3 0.1 0 -1.4 0.9\n", "quaternions of length 1.7.*; expected qx, qy, qz, qw"),
         ("0 1 2 3 30 0 90 1\n1 1 2 3 30 0 91 1\n", "2 poses, none valid; expected .* unit quaternions"),
+        ("0 1 2 3 0 0 0 1\n33 1 2 3 0 0 0 1\n67 1 2 3 0 0 0 1\n", "stamps 33.5 s apart; expected seconds"),
+        (
+            "0 1000 2000 3000 0 0 0 1\n0.1 1040 2000 3000 0 0 0 1\n",
+            "poses 40 m apart after 0.1 s; expected positions in metres",
+        ),
+        (f"start_time,end_time,{NAMES}\n0,1,{POSE}\n", "2 columns may be stamps: start_time, end_time; expected one"),
+        (f"date,{NAMES},a,b,c,d\n0,{POSE},0,0,0,0\n", "columns date, .*none for stamp"),
         ("5000 1 2 3 0 0 0 1\n5100 1 2 3 0 0 0 1\n5200 1 2 3 0 0 0 1\n", "stamps 100 s apart; expected seconds"),
     ],
 )

@@ -44,6 +44,17 @@ def test_a_static_mount_repeated_on_tf_is_the_mount(bag, frame):
     np.testing.assert_array_equal(flight.scans[2].points, POINTS)
 
 
+def test_a_static_mount_without_stamps_repeats_nothing_and_one_that_changes_is_noted(bag):
+    bag.clouds().odometry()
+    for _ in STAMPS:
+        bag.tf("base_link", "tof", MOUNT, 0.0, "/tf")
+    bag.tf("map", "odom", MOUNT).tf("map", "odom", MOUNT @ MOUNT)
+    flight = read_flight(bag.write())
+    np.testing.assert_allclose(flight.T_drone_sensor, MOUNT, atol=1e-12)
+    assert not flight.skipped
+    assert "fixed transform map → odom changes; the last one is used" in flight.facts["notes"]
+
+
 @pytest.mark.parametrize(("world", "named"), [("odom", None), ("camera_init", None), ("uav1/odom", "/tf")])
 def test_poses_are_those_of_a_chain_of_moving_transforms(bag, world, named):
     ground, up = DRONE.T_world_drone.copy(), np.tile(np.eye(4), (5, 1, 1))

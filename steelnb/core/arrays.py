@@ -1,0 +1,28 @@
+"""Arrays of coordinates from what users hand in: data frames become arrays, and impossible coordinates are refused."""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from steelnb.core.errors import InputError
+
+COORDINATE_MAX_M = 1e8
+"""No coordinate is larger: the earth is 4e7 m around. Drivers write such numbers for no return."""
+
+
+def as_array(values: Any) -> NDArray[Any]:
+    """An array of ``values``. Of a data frame with columns named x, y and z, in any case and order, these three."""
+    if not hasattr(values, "columns") or not hasattr(values, "iloc"):
+        return np.asarray(values)
+    names = [str(name).lower() for name in values.columns]
+    if all(names.count(axis) == 1 for axis in "xyz"):
+        values = values.iloc[:, [names.index(axis) for axis in "xyz"]]
+    return np.asarray(values.to_numpy(np.float64, na_value=np.nan))
+
+
+def check_coordinates(points: NDArray[np.float64], name: str) -> None:
+    """Raise `InputError` if a finite coordinate is beyond `COORDINATE_MAX_M`."""
+    largest = float(np.abs(points).max(initial=0.0))
+    if largest > COORDINATE_MAX_M:
+        raise InputError(f"{name}: a coordinate of {largest:.3g}; expected metres, at most {COORDINATE_MAX_M:.0e}")
