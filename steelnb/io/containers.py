@@ -82,6 +82,8 @@ class Container:
                 raise InputError(f"{path}: messages in {', '.join(unread)}; expected cdr or ros1, the encodings of ROS")
             form, repair = FORMS[next((part.path.suffix.lower() for part in self.parts), "")]
             why = f" ({'; '.join(self.notes)})" if self.notes else ""
+            if path.is_dir() and any(path.glob(f"*{ZSTD}")):
+                repair = f": unpack its files (`unzstd *{ZSTD}`), since its metadata.yaml cannot be used"
             raise InputError(f"{path}: no whole message in it{why}; expected {form}{repair}")
         self._check_parts()
 
@@ -161,10 +163,10 @@ class Part:
         self.types: dict[str, str] = {}
         self.unread: set[str] = set()
         self.span_ns = 2**63, 0
-        wal = path.with_name(f"{path.name}-wal")
-        if wal.exists() and wal.stat().st_size:
-            merged = f'sqlite3 {path.name} "PRAGMA wal_checkpoint"'
-            self._note(f"is not all: {wal.name} beside it has more, which is not read before `{merged}`")
+        for beside in (path.with_name(f"{path.name}-{ending}") for ending in ("wal", "journal")):
+            if beside.exists() and beside.stat().st_size:
+                merged = f'sqlite3 {path.name} "PRAGMA wal_checkpoint"'
+                self._note(f"is not all: {beside.name} beside it has more, which is not read before `{merged}`")
         try:
             with self._reader() as reader:
                 for each in reader.connections:

@@ -162,5 +162,7 @@ def test_a_compressed_ros_2_folder_is_read(tmp_path, mode):
 
 def test_an_unmerged_journal_is_told(tmp_path):
     path = part(tmp_path / "a.db3", 0, 5)
-    (tmp_path / "a.db3-wal").write_bytes(b"more")
-    assert "a.db3 is not all: a.db3-wal beside it has more" in read_flight(path).facts["notes"]
+    for name in ("a.db3-wal", "a.db3-journal"):
+        (tmp_path / name).write_bytes(b"more")
+        assert f"a.db3 is not all: {name} beside it has more" in read_flight(path).facts["notes"]
+        (tmp_path / name).unlink()
