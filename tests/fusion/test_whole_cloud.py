@@ -128,6 +128,17 @@ def test_a_bar_on_a_wall_is_not_free_and_its_width_is_that_of_its_points():
     assert freedom_of(np.concatenate([bar[:500], wall]), axis, width_m)[0] < 0.5
 
 
+@pytest.mark.parametrize("spacing_m", [0.05, 0.06, 0.08, 0.1])
+def test_lines_on_sparse_ground_and_on_a_sparse_wall_are_no_bars(spacing_m):
+    rng, mast = np.random.default_rng(1), lattice(6, 1.5, 1.0, 4)
+    flat = [[rng.uniform(-4, 4, int(size / spacing_m**2)) for size in (64, 64)] for _ in range(2)]
+    ground = np.column_stack([*flat[0], rng.normal(0, 0.01, len(flat[0][0]))])
+    wall = np.column_stack([rng.normal(2, 0.01, len(flat[1][0])), flat[1][0], flat[1][1] + 4.0])
+    match = match_members(bars_of_cloud(np.concatenate([scanned(mast, 300, 0.08, 0.01), ground, wall])).bars, mast)
+    assert match.right.mean() > 0.85
+    assert len({*match.member[match.right]}) == len(mast)
+
+
 @pytest.mark.parametrize("per_m2", [50, 200, 300])
 def test_ground_that_is_sampled_more_sparsely_than_the_steel_is_a_surface(per_m2):
     rng, n = np.random.default_rng(0), 64 * per_m2
