@@ -9,7 +9,7 @@ from steelnb.core.kernels import njit
 from steelnb.core.types import Array, IntArray, Segments
 from steelnb.fusion.joints import BEND_MAX, BEND_MIN, REACH_M
 from steelnb.fusion.ridges import RIDGE_RADIUS_M, RIDGE_SHARE, TUBE_M, Ridges, ridge_points
-from steelnb.hough.alternatives.refine import nearest_bar
+from steelnb.hough.freedom import nearest_bar
 from steelnb.hough.whole_structure.search import MIN_VOTES, segment_structure, within
 from steelnb.points import voxel_grid
 

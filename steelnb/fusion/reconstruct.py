@@ -17,9 +17,10 @@ from steelnb.fusion.bar_fitting import BarFitter
 from steelnb.fusion.candidates import find_bars, find_struts, merge_pieces
 from steelnb.fusion.joints import between_joints, trim_bends
 from steelnb.fusion.mapped_scans import MappedScans
-from steelnb.fusion.ridges import FREE_MIN, TUBE_M, Ridges, freedom_of
+from steelnb.fusion.ridges import TUBE_M, Ridges
 from steelnb.fusion.sections import shapes
 from steelnb.fusion.structure import Structure
+from steelnb.hough.freedom import FREE_MIN, freedom_of
 from steelnb.settings import StructureSettings
 
 TILT_MAX_RAD = 0.1
@@ -86,7 +87,8 @@ def reconstruct(
     _, segments = fitter.refine(merge_pieces(Segments.joined((segments, struts)), rise_m=TUBE_M), rise_m=TUBE_M)
     fitted = fitter.fit(trim_bends(segments), every=1)
     fitted = fitted.take(fitted.bars.is_bar & (fitted.tilt <= TILT_MAX_RAD))  # a tilt is NaN if points are too few
-    fitted = fitted.take(freedom_of(ridges.points, fitted.bars.segments, fitted.bars.flange) >= FREE_MIN)
+    half_m = np.maximum(0.5 * np.nan_to_num(fitted.bars.flange), TUBE_M)
+    fitted = fitted.take(freedom_of(ridges.points, fitted.bars.segments, half_m) >= FREE_MIN)
     if not len(fitted.tilt):
         return Structure.empty("no bar stands free and has enough points to determine its direction")
     structure = fitted.tied()

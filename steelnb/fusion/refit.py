@@ -12,7 +12,7 @@ from steelnb.core.robust import geman_mcclure
 from steelnb.core.types import Array, Segments
 from steelnb.fusion.joints import TILT_DETERMINED_RAD
 from steelnb.fusion.ridges import TUBE_M
-from steelnb.hough.alternatives.refine import nearest_bar
+from steelnb.hough.freedom import nearest_bar
 
 HALF_WIDTH_SHARE = 0.9
 """Share of a bar's points that lie within half its width of its axis."""

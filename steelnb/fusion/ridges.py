@@ -8,8 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from steelnb.core.kernels import njit
-from steelnb.core.types import Array, Segments
-from steelnb.hough.alternatives.refine import nearest_bar
+from steelnb.core.types import Array
 from steelnb.points import VoxelMap, voxel_grid
 from steelnb.points.surfaces import Surfaces, surfaces_of
 from steelnb.points.voxel_kernels import find, hash_table, offsets_within
@@ -22,11 +21,6 @@ RIDGE_RADIUS_M, RIDGE_SHARE, CONTRACT_M = 0.15, 0.2, 0.08
 """See `ridge_points`."""
 CELL, CELL_VOXELS = 2.5, 1.5
 """Edge of the cells in which surfaces are sought, in multiples of `VOXEL_M`, and its minimum in voxels of the map."""
-FREE_MIN = 0.7
-"""Minimum freedom of a bar. On a surface it is about a third. With 0.65 twice as many lines on sparse ground pass, with
-0.75 chords near the tips of arms are lost (towers ``slender`` and ``tapered``, seed 11)."""
-SLICE_M, REACH = 0.1, 3.0
-"""Slices in which the freedom is measured, and how many half-widths around the axis."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,38 +73,6 @@ def ridge_points(
     remaining = np.where(is_ridge, weight, 0.0)
     around = offsets_within(contract_m + math.sqrt(3) * voxel_m, voxel_m)
     return np.asarray(_contract(key, mean, remaining, around, contract_m, *table)[is_ridge])
-
-
-def freedom_of(points: Array, bars: Segments, width_m: Array) -> Array:
-    """How free each bar stands ``(B,)``: the share of the ``points (N, 3)`` within `REACH` half-widths of its axis that
-    lie within one, as the median over slices along it; 0 without points.
-
-    Points on other bars do not count if these stand free. On a surface, parallel lines are bars to each other, and none
-    is free: so the free ones are found first with all points, then more of them without the points on those found.
-    ``width_m (B,)``: widths of the bars, NaN if unknown, counted as at least two tube radii.
-    """
-    half_m = np.maximum(0.5 * np.nan_to_num(width_m), TUBE_M)
-    owner = nearest_bar(points, bars, float(half_m.max(initial=TUBE_M)), 0.0)
-    around = []
-    for bar in range(len(bars)):
-        offset = points - bars.start[bar]
-        along = offset @ bars.direction[bar]
-        beside = np.flatnonzero((along >= 0) & (along <= bars.length[bar]))
-        distance = np.linalg.norm(offset[beside] - along[beside, None] * bars.direction[bar], axis=1)
-        beside, distance = beside[distance <= REACH * half_m[bar]], distance[distance <= REACH * half_m[bar]]
-        around.append((owner[beside], (along[beside] / SLICE_M).astype(np.int64), distance <= half_m[bar]))
-    freedom, is_free = np.zeros(len(bars)), np.zeros(len(bars) + 1, dtype=bool)  # the last for points on no bar
-    for _ in range(len(bars)):
-        for bar, (own, slices, inside) in enumerate(around):
-            counts = (own == bar) | ~is_free[own]
-            total = np.bincount(slices[counts])
-            within = np.bincount(slices[counts & inside], minlength=len(total))
-            freedom[bar] = np.median(within[total > 0] / total[total > 0]) if total.any() else 0.0
-        more = np.append(freedom >= FREE_MIN, False) & ~is_free
-        if not more.any():
-            break
-        is_free |= more
-    return freedom
 
 
 @njit(cache=True, nogil=True)

@@ -16,8 +16,8 @@ from steelnb.fusion.candidates import (
 )
 from steelnb.fusion.joints import REACH_M, between_joints, find_joints
 from steelnb.fusion.refit import FIT_TUBES, refitted, widths_of
-from steelnb.fusion.ridges import FREE_MIN, SLICE_M, TUBE_M, VOXEL_M, Ridges, freedom_of
-from steelnb.hough.alternatives.refine import nearest_bar
+from steelnb.fusion.ridges import TUBE_M, VOXEL_M, Ridges
+from steelnb.hough.freedom import FREE_MIN, SLICE_M, freedom_of, nearest_bar
 from steelnb.hough.lines import DX_PER_SPACING, spacing
 from steelnb.hough.whole_structure.search import MIN_VOTES
 from steelnb.points import VoxelMap
@@ -140,7 +140,7 @@ def _bars_in_tubes(points: Array, voxel_m: float, min_votes: int) -> CloudBars:
         bars, is_weak = refitted(off, split_bends(off, bars, FIT_TUBES * TUBE_M, BEND_SHARE))
         bars = _tied(bars, off, is_weak)
     width_m = widths_of(off, bars)
-    freedom = freedom_of(ridges.points, bars, width_m)
+    freedom = freedom_of(ridges.points, bars, np.maximum(0.5 * width_m, TUBE_M))
     sure = (freedom >= FREE_MIN) & ((bars.length >= SURE_M) | _held_by_others(bars))
     return CloudBars(bars.take(sure), freedom[sure], width_m[sure], surfaces.described(label), label, voxel_m, TUBE_M)
 

@@ -7,10 +7,13 @@ import numpy as np
 from steelnb.core.arguments import checks_arguments
 from steelnb.core.checks import check_length, checked_integer, checked_number, checked_points
 from steelnb.core.types import Array, Lines, Segments
+from steelnb.hough.freedom import freedom_of
 from steelnb.hough.lines import default_dx, detect_lines
 from steelnb.hough.segments_kernels import cut, filter_pieces, merge
 from steelnb.settings import HoughSettings
 
+HALF_WIDTH = 3.0
+"""Half the width of a segment in root mean square distances of its points, for its freedom."""
 GAP = 4.0
 """Maximum gap of a segment in dx: default of ``gap_max``."""
 
@@ -28,6 +31,7 @@ def detect_segments(
     density_min: float = 0.0,
     length_min: float = 0.0,
     skip_weak: bool = True,
+    free_min: float = 0.0,
 ) -> Segments:
     """Find line segments: Hough lines (`detect_lines`), cut at gaps between their points and filtered by shape.
 
@@ -40,6 +44,7 @@ def detect_segments(
     density_min: minimum number of points per metre.
     length_min: minimum length, metres.
     skip_weak: drop lines with fewer than ``min_votes`` points and go on, unlike the published program.
+    free_min: minimum freedom of a segment (`freedom_of`), 0–1; `FREE_MIN` leaves out lines on walls and on the ground.
 
     Returns `Segments` in the frame of the points. Their ends are the extreme points projected onto the fitted axis.
     Raises `InputError` as `detect_lines`.
@@ -50,11 +55,16 @@ def detect_segments(
     [2.0, 1.0]
     """
     dx = default_dx(points) if dx is None else dx
+    checked_number(free_min, "free_min", 0, 1)
     lines = detect_lines(points, dx, min_votes, max_lines, granularity, skip_weak)
-    return cut_and_sort(
+    found = cut_and_sort(
         points, lines, GAP * dx if gap_max is None else gap_max, min_votes, pca_ratio_min, radius_max, density_min,
         length_min,
     )  # fmt: skip
+    if not free_min:
+        return found
+    half_m = np.maximum(HALF_WIDTH * found.radius, 0.5 * dx)
+    return found.take(np.flatnonzero(freedom_of(checked_points(points), found, half_m, free_min) >= free_min))
 
 
 @checks_arguments

@@ -5,8 +5,8 @@ import pytest
 
 from steelnb.core.types import Segments
 from steelnb.fusion.refit import widths_of
-from steelnb.fusion.ridges import freedom_of
 from steelnb.fusion.whole_cloud import bars_of_cloud
+from steelnb.hough.freedom import freedom_of
 from steelnb.metrics.segments import match_members
 from steelnb.points import voxel_grid
 from tests.lattice import lattice, scanned
@@ -123,9 +123,9 @@ def test_a_bar_on_a_wall_is_not_free_and_its_width_is_that_of_its_points():
     axis = Segments(np.zeros((1, 3)), np.array([[3.0, 0.0, 0.0]]), np.array([3000]), np.array([0.04]))
     width_m = widths_of(bar, axis)
     assert 0.08 < width_m[0] < 0.14
-    assert freedom_of(bar, axis, width_m)[0] > 0.95
+    assert freedom_of(bar, axis, np.maximum(width_m / 2, 0.06))[0] > 0.95
     wall = sheet(3.0, 2.0) - [0.0, 1.0, 0.0]
-    assert freedom_of(np.concatenate([bar[:500], wall]), axis, width_m)[0] < 0.5
+    assert freedom_of(np.concatenate([bar[:500], wall]), axis, np.maximum(width_m / 2, 0.06))[0] < 0.5
 
 
 @pytest.mark.parametrize("spacing_m", [0.05, 0.06, 0.08, 0.1])

@@ -5,7 +5,8 @@ from hypothesis import strategies as st
 
 from steelnb.core.types import Segments
 from steelnb.hough.alternatives import refine as module
-from steelnb.hough.alternatives.refine import bars_of_groups, in_passes, nearest_bar, refine
+from steelnb.hough.alternatives.refine import bars_of_groups, in_passes, refine
+from steelnb.hough.freedom import nearest_bar
 
 
 def bars(*ends):

@@ -4,7 +4,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
+from steelnb.core.errors import InputError
 from steelnb.hough import cut_and_sort, detect_lines, detect_segments
+from steelnb.hough.freedom import FREE_MIN
 from steelnb.hough.lines import default_dx
 from steelnb.hough.segments_kernels import merge
 from tests import naive
@@ -23,6 +25,20 @@ def test_a_line_is_cut_at_gaps():
     assert len(together) == 1
     np.testing.assert_allclose(sorted(separate.length), [1, 1.5], atol=0.05)
     np.testing.assert_array_equal(sorted(separate.count), [100, 150])
+
+
+def test_lines_on_a_wall_do_not_stand_free_and_bars_before_it_do():
+    rng = np.random.default_rng(3)
+    wall = np.column_stack([2.0 + rng.normal(0, 0.01, 12_000), rng.uniform(-1.5, 1.5, (12_000, 2))])
+    bars = [bar([1, y, -1.4], [1, y + 0.3, 1.4], 600, 0.01, seed) for seed, y in enumerate((-1.0, 0.0, 0.9))]
+    sorting = {"dx": 0.07, "min_votes": 20, "pca_ratio_min": 0.98, "radius_max": 0.07, "max_lines": 60}
+    assert len(detect_segments(wall, **sorting)) > 20
+    assert len(detect_segments(wall, **sorting, free_min=FREE_MIN)) == 0
+    found = detect_segments(np.concatenate([wall, *bars]), **sorting, free_min=FREE_MIN)
+    assert len(found) == 3
+    np.testing.assert_allclose(found.middle[:, 0], 1.0, atol=0.02)
+    with pytest.raises(InputError, match=r"free_min = 1.5: expected a number from 0 to 1"):
+        detect_segments(wall, free_min=1.5)
 
 
 def test_ends_direction_and_radius_equal_those_of_the_bar():

@@ -4,10 +4,10 @@ from collections.abc import Callable
 
 import numpy as np
 
-from steelnb.core.kernels import njit
 from steelnb.core.types import Array, IntArray, Lines, Segments
+from steelnb.hough.freedom import nearest_bar
 from steelnb.hough.segments import cut_and_sort
-from steelnb.hough.segments_kernels import filter_pieces, merge
+from steelnb.hough.segments_kernels import assign, filter_pieces, merge
 from steelnb.hough.transform import fit_line
 from steelnb.hough.whole_structure.search import EXCLUDE_DX
 
@@ -77,34 +77,5 @@ def refine(points: Array, bars: Segments, dx: float, points_min: int = POINTS_MI
             order, piece = merge(px, py, pz, order, piece, MERGE_DISTANCE_M, 2 * GAP_MAX_M)
         bounds = (PCA_RATIO_MIN, RADIUS_MAX_M, 0.0, LENGTH_MIN_M) if final else (0.0, np.inf, 0.0, 0.0)
         bars = Segments(*filter_pieces(px, py, pz, order, piece, *bounds))
-    _, around = _assign(px, py, pz, bars.start, bars.direction, bars.length, 2 * ASSIGN_DX * dx, 0.0)
+    _, around = assign(px, py, pz, bars.start, bars.direction, bars.length, 2 * ASSIGN_DX * dx, 0.0)
     return bars.take((bars.count >= points_min) & (bars.count >= OWN_SHARE_MIN * around))
-
-
-def nearest_bar(points: Array, bars: Segments, distance: float, end_margin: float) -> IntArray:
-    """Index ``(N,)`` of the bar whose axis is nearest to each point ``(N, 3)``, or −1 if none is within ``distance``.
-
-    An axis extends ``end_margin`` past the ends of its bar. Both in metres.
-    """
-    px, py, pz = np.ascontiguousarray(points.T)
-    return np.asarray(_assign(px, py, pz, bars.start, bars.direction, bars.length, distance, end_margin)[0])
-
-
-@njit(cache=True)
-def _assign(px, py, pz, start, direction, length, distance, end_margin):
-    """Nearest axis of each point, −1 if none is within ``distance``, and number of points within it, per axis."""
-    label, count = np.full(len(px), -1, np.int64), np.zeros(len(length), np.int64)
-    least = np.full(len(px), distance * distance)
-    for k in range(len(length)):
-        sx, sy, sz = start[k, 0], start[k, 1], start[k, 2]
-        ux, uy, uz = direction[k, 0], direction[k, 1], direction[k, 2]
-        last = length[k] + end_margin
-        for i in range(len(px)):
-            x, y, z = px[i] - sx, py[i] - sy, pz[i] - sz
-            t = x * ux + y * uy + z * uz
-            squared = x * x + y * y + z * z - t * t
-            if squared <= distance * distance and -end_margin <= t <= last:
-                count[k] += 1
-                if squared < least[i]:
-                    least[i], label[i] = squared, k
-    return label, count
