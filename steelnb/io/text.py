@@ -131,13 +131,7 @@ def read_table(path: Path) -> Table:
     data = plain_nan(decoded(path.read_bytes()))
     if b"/" in data or b"%" in data:
         data = COMMENT.sub(b"#", data)
-    lines, size = list[bytes](), HEAD_BYTES
-    content = list[int]()
-    while len(content) < 2 and size < 4 * max(len(data), HEAD_BYTES + 1):
-        lines = data[:size].splitlines(keepends=True)
-        lines = lines[:-1] if len(data) > size and len(lines) > 1 else lines
-        content = [k for k, line in enumerate(lines) if line.partition(b"#")[0].strip()]
-        size *= 4
+    lines, content = _head(data)
     if not content:
         raise ValueError("no line of numbers")
     texts = [line.decode("utf-8", "replace").strip() for line in lines]
@@ -179,6 +173,18 @@ def read_table(path: Path) -> Table:
         tuple(unit for _, unit in plain), names is not None, declared, first + 1,
         tuple(range(is_index, len(cells) - is_open)), tuple(_plain(word)[0] for words in said for word in words),
     )  # fmt: skip
+
+
+def _head(data: bytes) -> tuple[list[bytes], list[int]]:
+    """The first lines of a table, at least two with more than a comment, and the numbers of those."""
+    size = HEAD_BYTES
+    while True:
+        lines = data[:size].splitlines(keepends=True)
+        lines = lines[:-1] if len(data) > size and len(lines) > 1 else lines
+        content = [k for k, line in enumerate(lines) if line.partition(b"#")[0].strip()]
+        if len(content) > 1 or size >= len(data):
+            return lines, content
+        size *= 4
 
 
 def _counts(cells: list[str]) -> bool:
