@@ -78,10 +78,15 @@ def find_struts(ridges: Ridges, bars: Segments, hide_m: float, grids: int = GRID
 def is_held(bars: Segments, others: Segments, reach_m: float, step_m: float, near_m: float) -> NDArray[np.bool_]:
     """Whether both ends of each bar come within ``near_m`` of one of the ``others`` when they are extended by up to
     ``reach_m`` in steps of ``step_m``: ``(B,)``."""
-    extension = np.arange(0, reach_m + 1e-9, step_m)[:, None, None] * bars.direction
-    extended = np.stack([bars.start - extension, bars.end + extension])
-    near = within(extended.reshape(-1, 3), others, near_m).reshape(extended.shape[:3])
+    beyond = beyond_ends(bars, reach_m, step_m)
+    near = within(beyond.reshape(-1, 3), others, near_m).reshape(beyond.shape[:3])
     return np.asarray(near.any(axis=1).all(axis=0))
+
+
+def beyond_ends(bars: Segments, reach_m: float, step_m: float) -> Array:
+    """Points ``(2, S, B, 3)`` from the start and the end of each bar outwards, up to ``reach_m``, ``step_m`` apart."""
+    extension = np.arange(0, reach_m + 1e-9, step_m)[:, None, None] * bars.direction
+    return np.stack([bars.start - extension, bars.end + extension])
 
 
 def split_bends(points: Array, bars: Segments, tube_m: float = TUBE_M, share_max: float = BEND_SHARE_MAX) -> Segments:

@@ -1,5 +1,6 @@
 """The bars of a merged cloud, without scans and poses: lines on ridges of its density, surfaces left out."""
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,7 +11,7 @@ from steelnb.fusion.candidates import (
     GRIDS,
     LENGTH_MIN_M,
     bars_on_ridges,
-    is_held,
+    beyond_ends,
     merge_pieces,
     split_bends,
 )
@@ -19,14 +20,15 @@ from steelnb.fusion.refit import FIT_TUBES, refitted, widths_of
 from steelnb.fusion.ridges import TUBE_M, VOXEL_M, Ridges
 from steelnb.hough.freedom import FREE_MIN, SLICE_M, freedom_of, nearest_bar
 from steelnb.hough.lines import DX_PER_SPACING, spacing
-from steelnb.hough.whole_structure.search import MIN_VOTES
+from steelnb.hough.whole_structure.search import MIN_VOTES, within
 from steelnb.points import VoxelMap
-from steelnb.points.surfaces import Surface
+from steelnb.points.surfaces import Surface, Surfaces
 
 RISE_M, SUM_VOXELS = 0.2, 1.8
 """See `merge_pieces`, and ``sum_m`` in `ridge_points`, in voxels."""
 SURE_M = 0.8
-"""A bar that is shorter than this needs a bar at each end: where a flight has seen half of a member, it lies askew."""
+"""A bar that is shorter than this needs a bar at an end, and a bar or a surface at the other: where a flight has seen
+half of a member, it lies askew."""
 BEND_SHARE = 0.95
 """``share_max`` in `split_bends`: all points tell bends that are small beside the section."""
 TUBES_MIN = 40
@@ -34,6 +36,9 @@ TUBES_MIN = 40
 WIDER, WIDTH_MAX, KEPT_MIN = (2, 4), 3.0, 0.9
 """Wider tubes to try, in multiples of the default; the maximum median width of bars that fit in a tube, in its radii;
 and the minimum share of the default's length that lies inside theirs."""
+REST_MIN, MODEL_MIN = 0.2, 0.5
+"""Minimum share of the points on no surface that lie on no bar, for another search with wider tubes among them; and for
+one with narrower tubes in the whole cloud, as of a scale model, which counts if it leaves less than the first."""
 OFF_MIN = 0.05
 """A cloud with a smaller share of its points off all surfaces has no bars worth a search with wider tubes."""
 
@@ -44,7 +49,8 @@ class CloudBars:
 
     ``freedom (B,)``: share of the points around a bar that lie on it, 0 to 1 (`freedom_of`); ``width_m (B,)``;
     ``surfaces``, largest first; ``surface (N,)``: number of the surface that each point of the cloud lies on, or −1;
-    ``voxel_m``: edge of the voxels in which the points were accumulated; ``tube_m``: radius of the tubes.
+    ``voxel_m``: edge of the voxels in which the points were accumulated; ``tube_m``: radius of the tubes;
+    ``typical_m``: median width of the bars before those were dropped that do not stand free, NaN if there were none.
     """
 
     bars: Segments
@@ -54,6 +60,7 @@ class CloudBars:
     surface: IntArray
     voxel_m: float
     tube_m: float
+    typical_m: float
 
     def take(self, index: IntArray) -> "CloudBars":
         """The same with some bars, in this order."""
@@ -62,7 +69,7 @@ class CloudBars:
     @property
     def fit_tubes(self) -> bool:
         """Whether bars were found, and most fit in the tube. In a wider bar, lines along its sides pass for bars."""
-        return len(self.bars) > 0 and float(np.median(self.width_m)) <= WIDTH_MAX * self.tube_m
+        return len(self.bars) > 0 and self.typical_m <= WIDTH_MAX * self.tube_m
 
     @property
     def all_on_surfaces(self) -> bool:
@@ -84,8 +91,29 @@ class CloudBars:
             self.bars, start=scale * self.bars.start, end=scale * self.bars.end, radius=scale * self.bars.radius
         )
         surfaces = [surface.scaled(scale) for surface in self.surfaces]
-        voxel_m, tube_m = scale * self.voxel_m, scale * self.tube_m
-        return replace(self, bars=bars, width_m=scale * self.width_m, surfaces=surfaces, voxel_m=voxel_m, tube_m=tube_m)
+        lengths = {name: scale * getattr(self, name) for name in ("width_m", "voxel_m", "tube_m", "typical_m")}
+        return replace(self, bars=bars, surfaces=surfaces, **lengths)
+
+    def off(self, points: Array) -> Array:
+        """The points ``(N, 3)`` of the cloud that lie on no surface and on no bar ``(M, 3)``."""
+        rest, half_m = points[self.surface < 0], FIT_TUBES * np.maximum(0.5 * self.width_m, self.tube_m)
+        is_on = np.zeros(len(rest), dtype=bool)
+        for bar in range(len(self.bars)):
+            is_on |= nearest_bar(rest, self.bars.take(np.array([bar])), float(half_m[bar]), self.tube_m) >= 0
+        return rest[~is_on]
+
+    def share_off(self, points: Array) -> float:
+        """Share of the points ``(N, 3)`` on no surface that lie on no bar; 0 if all lie on surfaces."""
+        return len(self.off(points)) / max(int(np.count_nonzero(self.surface < 0)), 1)
+
+    def joined(self, wider: "CloudBars") -> "CloudBars":
+        """These bars and wider ones, the strongest first."""
+        bars, order = (
+            Segments.joined([self.bars, wider.bars]),
+            np.argsort(np.append(-self.bars.count, -wider.bars.count)),
+        )
+        freedom, width_m = np.append(self.freedom, wider.freedom), np.append(self.width_m, wider.width_m)
+        return replace(self, bars=bars, freedom=freedom, width_m=width_m).take(order)
 
 
 def bars_of_cloud(
@@ -96,10 +124,12 @@ def bars_of_cloud(
     Points are accumulated in voxels of edge ``voxel_m``, by default two thirds of the tube, and only voxels on ridges
     of their weight remain: range noise spreads the rest. Surfaces are left out (`surfaces_of`). Lines through the rest
     are split at bends, refitted to all points, extended to their joints and merged (`fusion.candidates`,
-    `fusion.joints`). A bar stands free (`freedom_of`), and if it is short, its ends meet other bars.
+    `fusion.joints`). A bar stands free (`freedom_of`), and if it is short, its ends meet others.
 
     ``tube_m``: radius of the tube that holds a bar's points. All lengths of the search are proportional to it. By
-    default, it is that of `default_tube`; if the bars do not fit in it, twice and four times that are tried.
+    default, it is that of `default_tube`; if the bars do not fit in it, twice and four times that are tried. If they
+    leave more than `REST_MIN` of the points on no surface, bars of these widths are sought in those; if they leave
+    more than `MODEL_MIN`, narrower tubes are tried, down to the spacing of the points.
     ``min_votes``: minimum number of ridge voxels of a bar.
     """
     narrow_m = tube_m or max(default_tube(points), (voxel_m or 0.0) * TUBE_M / VOXEL_M)
@@ -107,6 +137,16 @@ def bars_of_cloud(
     found = next(tries)
     if tube_m is None and not found.fit_tubes and not found.all_on_surfaces:
         found = next((each for each in tries if each.fit_tubes and each.share_inside(found.bars) >= KEPT_MIN), found)
+    for wider in WIDER if tube_m is None else ():
+        rest = found.off(points)
+        if len(rest) < max(REST_MIN * np.count_nonzero(found.surface < 0), OFF_MIN * len(points)):
+            break
+        more = _bars_at_scale(rest, wider * found.tube_m / TUBE_M, voxel_m, min_votes)
+        found = found.joined(more) if more.fit_tubes else found
+    if tube_m is None and found.share_off(points) > MODEL_MIN and not found.all_on_surfaces:
+        tubes, least = (narrow_m / 2**k for k in range(1, 6)), DX_PER_SPACING * spacing(points, 4)
+        tries = (_bars_at_scale(points, each / TUBE_M, voxel_m, min_votes) for each in tubes if each >= least)
+        found = next((each for each in tries if each.share_off(points) < REST_MIN), found)
     return found
 
 
@@ -141,8 +181,10 @@ def _bars_in_tubes(points: Array, voxel_m: float, min_votes: int) -> CloudBars:
         bars = _tied(bars, off, is_weak)
     width_m = widths_of(off, bars)
     freedom = freedom_of(ridges.points, bars, np.maximum(0.5 * width_m, TUBE_M))
-    sure = (freedom >= FREE_MIN) & ((bars.length >= SURE_M) | _held_by_others(bars))
-    return CloudBars(bars.take(sure), freedom[sure], width_m[sure], surfaces.described(label), label, voxel_m, TUBE_M)
+    sure = (freedom >= FREE_MIN) & ((bars.length >= SURE_M) | _held(bars, surfaces))
+    typical_m = float(np.median(width_m)) if len(bars) else math.nan
+    bars, freedom, width_m = bars.take(sure), freedom[sure], width_m[sure]
+    return CloudBars(bars, freedom, width_m, surfaces.described(label), label, voxel_m, TUBE_M, typical_m)
 
 
 def _tied(bars: Segments, points: Array, is_weak: NDArray[np.bool_] | None = None) -> Segments:
@@ -155,10 +197,14 @@ def _tied(bars: Segments, points: Array, is_weak: NDArray[np.bool_] | None = Non
     return merge_pieces(tied, width_m, RISE_M)
 
 
-def _held_by_others(bars: Segments) -> NDArray[np.bool_]:
-    """`is_held` of each bar by all others ``(B,)``."""
-    number = np.arange(len(bars))
+def _held(bars: Segments, surfaces: Surfaces) -> NDArray[np.bool_]:
+    """Whether an end of each bar, extended a little, meets another bar, and the other end one or a surface ``(B,)``."""
+    number, beyond = np.arange(len(bars)), beyond_ends(bars, REACH_M, 0.5 * TUBE_M)
+    at_surface = surfaces.label_of(beyond.reshape(-1, 3)).reshape(beyond.shape[:3]).max(axis=1) >= 0
+    others = (bars.take(number != k) for k in number)
     held = [
-        is_held(bars.take(number == k), bars.take(number != k), REACH_M, 0.5 * TUBE_M, 1.5 * TUBE_M) for k in number
+        within(beyond[:, :, k].reshape(-1, 3), each, 1.5 * TUBE_M).reshape(2, -1).any(axis=1)
+        for k, each in zip(number, others, strict=True)
     ]
-    return np.array(held, dtype=bool).reshape(len(bars))
+    at_bar = np.array(held, dtype=bool).reshape(len(bars), 2).T
+    return np.asarray((at_bar | at_surface).all(axis=0) & at_bar.any(axis=0))

@@ -97,10 +97,12 @@ class Surfaces:
         large = size[group] >= CELLS_MIN
         return cls(np.full(large.sum(), cell_m), point[large], normal[large], rank[group[large]])
 
-    def extended(self, points: Array, cell_m: float, near_m: float) -> "Surfaces":
-        """These, and those in a sparser cloud ``(N, 3)`` with wider cells of which `NEW_MIN` or more is new. They
-        replace the surfaces whose greater part they cover."""
+    def extended(self, points: Array, cell_m: float, near_m: float, only_level: bool = False) -> "Surfaces":
+        """These, and those in a sparser cloud ``(N, 3)`` with wider cells of which `NEW_MIN` or more is new, all or the
+        level ones. They replace the surfaces whose greater part they cover."""
         wide = Surfaces.found_in(points, cell_m, near_m)
+        if only_level:
+            wide = wide._with(wide._share_of(np.abs(wide.normal[:, 2]) > math.cos(LEVEL_RAD)) > 0.5)
         wide = wide._with(wide._share_of(self.label_of(wide.point) < 0) >= NEW_MIN)
         kept = self._with(self._share_of(wide.label_of(self.point) >= 0) < 0.5)
         pairs = [(getattr(kept, name), getattr(wide, name)) for name in ("cell_m", "point", "normal")]
@@ -149,7 +151,9 @@ class Surfaces:
 
 def surfaces_of(voxels: VoxelMap, ridge: Array, cell_m: float) -> Surfaces:
     """The surfaces of a cloud: in its ridges, and in wider cells in what is sparse and off dense steel. Ground that is
-    sampled more sparsely than the steel has gaps, and its points lie along many lines."""
+    sampled more sparsely than the steel has gaps, and its points lie along many lines. Level surfaces are sought in the
+    whole cloud, too: if its density varies, ground may be as dense as steel elsewhere. Towers of few points have faces
+    with the look of walls, but no floors."""
     found, thin, weight = Surfaces.found_in(ridge, cell_m), voxels.means(), voxels.weights()
     ordered = np.sort(weight)
     usual = ordered[np.searchsorted(np.cumsum(ordered), weight.sum() / 2)]  # half of the points lie in fuller voxels
@@ -161,6 +165,7 @@ def surfaces_of(voxels: VoxelMap, ridge: Array, cell_m: float) -> Surfaces:
         is_sparse[is_sparse] = np.isinf(distance)
     for wider in COARSER:
         found = found.extended(thin[is_sparse | (label >= 0)], wider * cell_m, NEAR * cell_m)
+        found = found.extended(thin, wider * cell_m, NEAR * cell_m, only_level=True)
         label = found.label_of(thin)
     return found
 

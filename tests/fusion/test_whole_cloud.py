@@ -128,6 +128,68 @@ def test_a_bar_on_a_wall_is_not_free_and_its_width_is_that_of_its_points():
     assert freedom_of(np.concatenate([bar[:500], wall]), axis, np.maximum(width_m / 2, 0.06))[0] < 0.5
 
 
+def rods(rng, *ends, radius_m: float, per_m2: float = 2000) -> np.ndarray:
+    """Points on round bars, with 5 mm of noise."""
+    points = []
+    for start, end in np.array(ends, dtype=float):
+        length_m = np.linalg.norm(end - start)
+        axis = (end - start) / length_m
+        n, first = (
+            int(per_m2 * 2 * np.pi * radius_m * length_m),
+            np.cross(axis, [0.6, 0.8, 0.0] if axis[2] else [0, 0, 1]),
+        )
+        first /= np.linalg.norm(first)
+        turn = rng.uniform(0, 2 * np.pi, (n, 1))
+        around = radius_m * (np.cos(turn) * first + np.sin(turn) * np.cross(axis, first))
+        points.append(start + rng.uniform(0, length_m, (n, 1)) * axis + around)
+    return np.concatenate(points) + rng.normal(0, 0.005, (sum(map(len, points)), 3))
+
+
+@pytest.mark.parametrize("radius_m", [0.1, 0.15, 0.2])
+def test_wide_columns_beside_narrow_pipes_are_bars(radius_m):
+    rng = np.random.default_rng(2)
+    columns = [((x, y, 0), (x, y, 5)) for x in (0, 6) for y in (0, 6)]
+    pipes = [((0.5, y, z), (5.5, y, z)) for y in (0, 6) for z in (1.5, 2.5, 3.5)]
+    ground = sheet(10.0, 10.0, per_m2=1200) - [-3.0, -3.0, 0.0] - [5.0, 5.0, 0.0]
+    cloud = np.concatenate([rods(rng, *columns, radius_m=radius_m), rods(rng, *pipes, radius_m=0.05), ground])
+    match = match_members(bars_of_cloud(cloud).bars, np.array(columns + pipes, dtype=float))
+    assert {*match.member} == set(range(10))
+    assert len(match.member) <= 11
+
+
+def test_ground_whose_density_falls_with_the_distance_from_a_scanner_is_a_surface():
+    rng, tower = np.random.default_rng(4), lattice(8, 4, 2, 3)
+    place = rng.uniform(-6, 6, (200_000, 2))
+    near = rng.random(len(place)) < 0.05 + np.exp(-np.linalg.norm(place - [6, -6], axis=1) / 4)
+    ground = np.column_stack([place[near], rng.normal(0, 0.01, near.sum())])
+    found = bars_of_cloud(np.concatenate([scanned(tower, 150, 0.08, 0.01), ground[::3]]))
+    match = match_members(found.bars, tower)
+    assert match.right.mean() > 0.95
+    assert len({*match.member[match.right]}) == len(tower)
+    assert found.surfaces[0].is_level
+
+
+@pytest.mark.parametrize("scale", [1 / 5, 1 / 20, 1 / 100])
+def test_a_scale_model_on_a_plate_has_its_bars(scale):
+    tower, plate = lattice(8, 4, 2, 3), sheet(10.0, 10.0, per_m2=800)
+    plate[:, :2] -= plate[:, :2].mean(axis=0)
+    cloud = scale * np.concatenate([scanned(tower, 800, 0.08, 0.005), plate])
+    match = match_members(bars_of_cloud(cloud).bars, scale * tower, distance_max_m=0.1 * scale)
+    assert match.right.mean() > 0.95
+    assert len({*match.member[match.right]}) >= 0.9 * len(tower)
+
+
+def test_posts_between_the_ground_and_a_handrail_are_bars():
+    rng = np.random.default_rng(7)
+    posts = [((x, 0, 0), (x, 0, 0.95)) for x in range(7)]
+    cloud = np.concatenate(
+        [rods(rng, *posts, ((0, 0, 0.95), (6, 0, 0.95)), radius_m=0.02), sheet(9.0, 4.0, per_m2=1500) - [1, 2, 0]]
+    )
+    upright = np.abs(bars_of_cloud(cloud).bars.direction[:, 2]) > 0.9
+    assert upright.sum() == 7
+    assert len(upright) == 8
+
+
 @pytest.mark.parametrize("spacing_m", [0.05, 0.06, 0.08, 0.1])
 def test_lines_on_sparse_ground_and_on_a_sparse_wall_are_no_bars(spacing_m):
     rng, mast = np.random.default_rng(1), lattice(6, 1.5, 1.0, 4)
