@@ -18,7 +18,7 @@ from steelnb.fusion.candidates import (
 from steelnb.fusion.joints import REACH_M, between_joints, find_joints
 from steelnb.fusion.refit import FIT_TUBES, refitted, widths_of
 from steelnb.fusion.ridges import TUBE_M, VOXEL_M, Ridges
-from steelnb.hough.freedom import FREE_MIN, SLICE_M, freedom_of, nearest_bar
+from steelnb.hough.freedom import ALONG_M, FREE_MIN, freedom_of, nearest_bar
 from steelnb.hough.lines import DX_PER_SPACING, spacing
 from steelnb.hough.whole_structure.search import MIN_VOTES, within
 from steelnb.points import VoxelMap
@@ -82,7 +82,7 @@ class CloudBars:
         if not len(bars):
             return 1.0
         ends = zip(bars.start, bars.end, bars.length, strict=True)
-        along = np.concatenate([np.linspace(a, b, 2 + int(length / SLICE_M))[:-1] for a, b, length in ends])
+        along = np.concatenate([np.linspace(a, b, 2 + int(length / ALONG_M))[:-1] for a, b, length in ends])
         return float((nearest_bar(along, self.bars, 0.5 * WIDTH_MAX * self.tube_m, self.tube_m) >= 0).mean())
 
     def scaled(self, scale: float) -> "CloudBars":

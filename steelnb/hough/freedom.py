@@ -9,7 +9,7 @@ from steelnb.hough.segments_kernels import assign
 FREE_MIN = 0.7
 """Minimum freedom of a bar. On a surface it is about a third. With 0.65 twice as many lines on sparse ground pass, with
 0.75 chords near the tips of arms are lost (merged clouds of ``slender`` and ``tapered``, seed 11)."""
-SLICE_M, REACH = 0.1, 3.0
+ALONG_M, REACH = 0.1, 3.0
 """Slices in which the freedom is measured, and how many half-widths around the axis."""
 
 
@@ -39,7 +39,7 @@ def freedom_of(points: Array, segments: Segments, half_m: Array, free_min: float
         distance = np.linalg.norm(offset[beside] - along[beside, None] * segments.direction[each], axis=1)
         near = distance <= REACH * half_m[each]
         beside, distance = beside[near], distance[near]
-        around.append((owner[beside], (along[beside] / SLICE_M).astype(np.int64), distance <= half_m[each]))
+        around.append((owner[beside], (along[beside] / ALONG_M).astype(np.int64), distance <= half_m[each]))
     freedom, is_free = np.zeros(len(segments)), np.zeros(len(segments) + 1, dtype=bool)  # the last: on none
     for _ in range(len(segments)):
         for each, (own, slices, inside) in enumerate(around):
