@@ -108,10 +108,8 @@ class CloudBars:
 
     def joined(self, wider: "CloudBars") -> "CloudBars":
         """These bars and wider ones, the strongest first."""
-        bars, order = (
-            Segments.joined([self.bars, wider.bars]),
-            np.argsort(np.append(-self.bars.count, -wider.bars.count)),
-        )
+        bars = Segments.joined([self.bars, wider.bars])
+        order = np.argsort(np.append(-self.bars.count, -wider.bars.count), kind="stable")
         freedom, width_m = np.append(self.freedom, wider.freedom), np.append(self.width_m, wider.width_m)
         return replace(self, bars=bars, freedom=freedom, width_m=width_m).take(order)
 
