@@ -6,7 +6,6 @@ A Starling 2 in a zigzag before the tower for 100 s. `reconstruct` gets the true
 """
 
 import argparse
-from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -17,7 +16,7 @@ from steelnb.fusion import reconstruct
 from steelnb.metrics.structure import reference, score_structure
 from steelnb.settings import ExperimentSettings, StructureSettings
 from steelnb.simulation import Tower, Truth, build_tower, fly, measured_imu, scan_flight
-from steelnb.simulation.members import ON_PLATE
+from tests.lattice import with_plate
 
 WALL_M, BEHIND_M = (12.0, 12.0), 1.0
 """Width and height of the wall, and its distance from the tower."""
@@ -27,14 +26,9 @@ CASES = {"alone": (False, {}), "ground": (False, GROUND), "ground and wall": (Tr
 
 
 def before_a_wall(tower: Tower) -> Tower:
-    """The tower with a wall behind it, as seen by the flight."""
+    """The tower with a wall behind it, as the drone sees it."""
     y = tower.vertices[:, 1].max() + BEHIND_M
-    corner = np.array([[x, y, z] for x in (-WALL_M[0] / 2, WALL_M[0] / 2) for z in (0.0, WALL_M[1])])
-    triangle = len(tower.vertices) + np.array([[0, 1, 2], [1, 2, 3]])
-    return replace(
-        tower, vertices=np.concatenate([tower.vertices, corner]), triangles=np.concatenate([tower.triangles, triangle]),
-        triangle_member=np.concatenate([tower.triangle_member, [ON_PLATE, ON_PLATE]]),
-    )  # fmt: skip
+    return with_plate(tower, np.array([[x, y, z] for x in (-WALL_M[0] / 2, WALL_M[0] / 2) for z in (0.0, WALL_M[1])]))
 
 
 def trial(name: str, seed: int, case: str, odometry: str | None) -> dict[str, object]:

@@ -1,6 +1,7 @@
 """Made-up lattices and clouds of them."""
 
 import itertools
+from dataclasses import replace
 
 import numpy as np
 from scipy.sparse import coo_array
@@ -9,6 +10,7 @@ from scipy.spatial import cKDTree
 
 from steelnb.settings import TowerSettings
 from steelnb.simulation import Member, Tower
+from steelnb.simulation.members import ON_PLATE
 
 
 def lattice(height: float = 15.0, base: float = 6.0, top: float = 3.0, panels: int = 5) -> np.ndarray:
@@ -51,6 +53,15 @@ def pieces_of(tower) -> tuple[np.ndarray, int]:
     ends = [sorted(ends) for member in tower.members for ends in itertools.pairwise(member.joints)]
     pieces, size = np.unique(ends, axis=0), len(tower.joints)
     return pieces, connected_components(coo_array((np.ones(len(pieces)), pieces.T), shape=(size, size)))[0]
+
+
+def with_plate(tower: Tower, corner: np.ndarray) -> Tower:
+    """The tower beside a plate, such as a wall, with corners ``(4, 3)``: two on one side, then two on the other."""
+    triangle = len(tower.vertices) + np.array([[0, 1, 2], [1, 2, 3]])
+    return replace(
+        tower, vertices=np.concatenate([tower.vertices, corner]), triangles=np.concatenate([tower.triangles, triangle]),
+        triangle_member=np.concatenate([tower.triangle_member, [ON_PLATE, ON_PLATE]]),
+    )  # fmt: skip
 
 
 def build_tubes(axes: np.ndarray, radius_m: float, sides: int = 48) -> Tower:

@@ -25,8 +25,8 @@ CELL, CELL_VOXELS = 2.5, 1.5
 
 @dataclass(frozen=True, eq=False)
 class Ridges:
-    """The ridges of a voxel map: ``points (R, 3)``, metres, at most a few to a tube's radius, and the ``surfaces`` of
-    the map, in which no bars are sought."""
+    """The ridges of a voxel map: ``points (R, 3)``, metres, thinned to a few in a tube's radius, and the
+    ``surfaces`` of the map, in which no bars are sought."""
 
     voxels: VoxelMap
     points: Array

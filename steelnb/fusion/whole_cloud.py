@@ -95,12 +95,11 @@ class CloudBars:
         return replace(self, bars=bars, surfaces=surfaces, **lengths)
 
     def off(self, points: Array) -> Array:
-        """The points ``(N, 3)`` of the cloud that lie on no surface and on no bar ``(M, 3)``."""
+        """Those of the cloud's points ``(N, 3)`` that lie on no surface and on no bar: ``(M, 3)``."""
         rest, half_m = points[self.surface < 0], FIT_TUBES * np.maximum(0.5 * self.width_m, self.tube_m)
-        is_on = np.zeros(len(rest), dtype=bool)
         for bar in range(len(self.bars)):
-            is_on |= nearest_bar(rest, self.bars.take(np.array([bar])), float(half_m[bar]), self.tube_m) >= 0
-        return rest[~is_on]
+            rest = rest[nearest_bar(rest, self.bars.take(np.array([bar])), float(half_m[bar]), self.tube_m) < 0]
+        return rest
 
     def share_off(self, points: Array) -> float:
         """Share of the points ``(N, 3)`` on no surface that lie on no bar; 0 if all lie on surfaces."""
@@ -133,15 +132,19 @@ def bars_of_cloud(
     narrow_m = tube_m or max(default_tube(points), (voxel_m or 0.0) * TUBE_M / VOXEL_M)
     tries = (_bars_at_scale(points, each * narrow_m / TUBE_M, voxel_m, min_votes) for each in (1, *WIDER))
     found = next(tries)
-    if tube_m is None and not found.fit_tubes and not found.all_on_surfaces:
+    if tube_m is not None:
+        return found
+    if not found.fit_tubes and not found.all_on_surfaces:
         found = next((each for each in tries if each.fit_tubes and each.share_inside(found.bars) >= KEPT_MIN), found)
-    for wider in WIDER if tube_m is None else ():
-        rest = found.off(points)
-        if len(rest) < max(REST_MIN * np.count_nonzero(found.surface < 0), OFF_MIN * len(points)):
+    rest, off = found.off(points), np.count_nonzero(found.surface < 0)
+    for wider in WIDER:
+        if len(rest) < max(REST_MIN * off, OFF_MIN * len(points)):
             break
         more = _bars_at_scale(rest, wider * found.tube_m / TUBE_M, voxel_m, min_votes)
-        found = found.joined(more) if more.fit_tubes else found
-    if tube_m is None and found.share_off(points) > MODEL_MIN and not found.all_on_surfaces:
+        if more.fit_tubes:
+            found = found.joined(more)
+            rest = found.off(points)
+    if len(rest) > MODEL_MIN * off and not found.all_on_surfaces:
         tubes, least = (narrow_m / 2**k for k in range(1, 6)), DX_PER_SPACING * spacing(points, 4)
         tries = (_bars_at_scale(points, each / TUBE_M, voxel_m, min_votes) for each in tubes if each >= least)
         found = next((each for each in tries if each.share_off(points) < REST_MIN), found)

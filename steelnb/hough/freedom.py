@@ -40,7 +40,7 @@ def freedom_of(points: Array, segments: Segments, half_m: Array, free_min: float
         near = distance <= REACH * half_m[each]
         beside, distance = beside[near], distance[near]
         around.append((owner[beside], (along[beside] / ALONG_M).astype(np.int64), distance <= half_m[each]))
-    freedom, is_free = np.zeros(len(segments)), np.zeros(len(segments) + 1, dtype=bool)  # the last: on none
+    freedom, is_free = np.zeros(len(segments)), np.zeros(len(segments) + 1, dtype=bool)  # the last for no segment
     for _ in range(len(segments)):
         for each, (own, slices, inside) in enumerate(around):
             counts = (own == each) | ~is_free[own]

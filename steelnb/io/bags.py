@@ -173,11 +173,9 @@ class _Bag:
         frame = self.headers.frame_of[topic][0]
         place = tree.place(body, tree.resolve(frame), first_s)
         if place is None:
-            self.headers.notes[f"no transform from {body} to {frame or 'the IMU'}: the axes of the IMU are assumed"] = (
-                None
-            )
-        T_body_imu = drone_axes(body) @ drone_axes(frame).T if place is None else place.T_target_source[0]
-        T_drone_imu = drone_axes(body).T @ T_body_imu
+            note = f"no transform from {body} to {frame or 'the IMU'}: its axes are taken from its name"
+            self.headers.notes[note] = None
+        T_drone_imu = drone_axes(frame).T if place is None else drone_axes(body).T @ place.T_target_source[0]
         R_drone_imu = T_drone_imu[:3, :3]
         return Imu(rows[:, 0], rows[:, 1:4] @ R_drone_imu.T, rows[:, 4:] @ R_drone_imu.T)
 

@@ -32,7 +32,7 @@ such as zeros among the coordinates of a survey."""
 STEP_MAX_M, FAR_FROM_ZERO_M, ROUNDED_POINTS = 0.02, 1e4, 100
 """Largest step between coordinates; those below the second are left as they are, as are few points."""
 LINES_COUNTED = 10
-"""Minimum number of points that a first column in equal steps numbers."""
+"""Minimum number of lines by which a first column in equal steps is recognised."""
 CHANNELS_MAX = 16
 """An array (3, N) has more columns than this, an array (N, 3 or more) at most as many."""
 AXIS = ("(?:pos|position|point|coord|coordinate|p|points_m_xyz|cartesian)_?{}", "{}_?(?:coord|coordinate|pos)")
@@ -160,12 +160,12 @@ def _read_npy(path: Path) -> Any:
     if stored.ndim not in (2, 3) or not 3 <= stored.shape[-1] <= CHANNELS_MAX:
         raise ValueError(f"an array of shape {stored.shape}; expected (N, 3) or (H, W, 3)")
     if stored.ndim == 2 and stored.shape[1] > 3:
-        _check_coordinates(stored[:, 0])
+        _check_first_column(stored[:, 0])
     return stored[..., :3]
 
 
-def _check_coordinates(values: Any) -> None:
-    """Raise ValueError if the first of more than three columns rises in equal steps: it holds numbers or times."""
+def _check_first_column(values: Any) -> None:
+    """Raise ValueError if the first of more than three columns rises in equal steps: it is an index or a time."""
     step = np.diff(np.asarray(values, dtype=np.float64))
     if len(values) >= LINES_COUNTED and step[0] > 0 and np.abs(step - step[0]).max() <= 1e-6 * step[0]:
         raise ValueError(
@@ -195,7 +195,7 @@ def _read_text(path: Path) -> Any:
         raise ValueError(f"x, y and z in {', '.join(sorted(other))}; expected metres")
     points = table.values([k for k in number if k is not None])
     if is_unnamed and len(table.own) > 3:
-        _check_coordinates(points[:, 0])
+        _check_first_column(points[:, 0])
     return points
 
 

@@ -1,4 +1,4 @@
-"""Bytes of text files → UTF-8 as other programs write it."""
+"""Bytes of text files in the encodings of other programs → UTF-8."""
 
 import codecs
 import re
@@ -9,7 +9,7 @@ GZIP = b"\x1f\x8b"
 
 
 def plain_nan(data: bytes) -> bytes:
-    """The same with the NaN and infinity of some programs for Windows as nan."""
+    """The same text, with ``nan`` for what programs for Windows write as ``1.#QNAN`` or ``1.#INF``."""
     return WINDOWS_NAN.sub(b"nan", data) if b"#" in data else data
 
 

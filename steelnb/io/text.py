@@ -36,8 +36,8 @@ class Table:
     ``decimal``. ``names``: of the columns, in lower case, with ``_`` for all other signs, and ``units`` ("" if not
     given); both are empty without names. ``has_header``: the names stand in a line of their own, not in a comment.
     ``declared``: number of lines according to the first one; ``first``: number of the first line in the file.
-    For tables without names, ``own``: the columns without one that numbers the lines and an empty last one; ``said``:
-    words of comments, in the form of names.
+    For tables without names, ``own``: all columns but an index and an empty last one; ``said``: the words of comments,
+    in the form of names, whatever their number.
     """
 
     data: bytes
@@ -109,8 +109,8 @@ class Table:
                 return
 
     def _check_signs(self, wanted: Sequence[int]) -> None:
-        """Raise ValueError for what pandas leaves out without a word: all lines up to the next quotation mark, if one
-        is not closed, and a line whose label begins with the sign of a comment."""
+        """Raise ValueError for lines that pandas drops silently: those after a quotation mark that is not closed, and
+        one whose label begins with the sign of a comment."""
         quotes, labels = b'"' in self.data, b"#" in self.data and self.separator != " " and 0 not in wanted
         for number, line in enumerate(self.data.splitlines() if quotes or labels else (), self.first):
             if line.partition(b"#")[0].count(b'"') % 2:
@@ -125,8 +125,8 @@ def read_table(path: Path) -> Table:
     """Find the form of the table in a file. Its separator is what stands in its first line of numbers.
 
     The names of the columns stand in the line before, or in a comment before (``#``, ``//``, ``%``) that has as many
-    words as the line has numbers, or begins with more or fewer of them. A first line with one integer is a count, and
-    one with 0, 1, 2, … numbers the columns. Raises ValueError.
+    words as the line has numbers. A first line with one integer is a count, and one with 0, 1, 2, … numbers the
+    columns. Raises ValueError.
     """
     data = plain_nan(decoded(path.read_bytes()))
     if b"/" in data or b"%" in data:

@@ -26,10 +26,10 @@ VOXELS_FEW = 10
 """If voxels leave fewer points than this many bars need, the message blames the voxels."""
 VOXELS_MAX = 12
 """Maximum radius of a tube, in voxels: the time of the search grows with its cube."""
-EXPLAINED_MIN = 0.5
-"""The user is warned if bars explain a smaller share than this of the points that lie on no surface."""
 FLAT_M = 0.1
 """Maximum root mean square distance of a flat surface from its plane."""
+EXPLAINED_MIN = 0.5
+"""The user is warned if bars explain a smaller share than this of the points that lie on no surface."""
 
 
 @dataclass(frozen=True, eq=False)

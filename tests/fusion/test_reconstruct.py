@@ -21,6 +21,7 @@ from steelnb.settings import ExperimentSettings, StructureSettings
 from steelnb.simulation.members import ON_PLATE
 from steelnb.simulation.truth import SliceCounter
 from tests.fusion.made import around, small_tower
+from tests.lattice import with_plate
 
 WALL_X_M = 2.2
 CORNERS = np.array([(0, 0, 0), (2, 0, 0), (0, 0, 3), (2, 0, 3)], dtype=float)
@@ -103,12 +104,7 @@ def test_poses_that_move_take_the_structure_along(flown):
 
 def before_a_wall(tower):
     """The tower with a wall of 10 m by 6 m behind it."""
-    corner = np.array([[WALL_X_M, y, z] for y in (-5.0, 5.0) for z in (0.0, 6.0)])
-    triangle = len(tower.vertices) + np.array([[0, 1, 2], [1, 2, 3]])
-    return replace(
-        tower, vertices=np.concatenate([tower.vertices, corner]), triangles=np.concatenate([tower.triangles, triangle]),
-        triangle_member=np.concatenate([tower.triangle_member, [ON_PLATE, ON_PLATE]]),
-    )  # fmt: skip
+    return with_plate(tower, np.array([[WALL_X_M, y, z] for y in (-5.0, 5.0) for z in (0.0, 6.0)]))
 
 
 @pytest.mark.slow

@@ -1,0 +1,44 @@
+"""Bars of made-up clouds on ground that is sampled more sparsely than the steel.
+
+PYTHONPATH=. .venv/bin/python benchmarks/ground.py
+"""
+
+import numpy as np
+
+from steelnb.core.types import Array
+from steelnb.fusion.whole_cloud import bars_of_cloud
+from steelnb.metrics.segments import match_members
+from tests.lattice import lattice, scanned
+
+HALF_M, SLOPE = 5.0, 0.3
+WIDTH_M, NOISE_M = 0.08, 0.01
+"""Of the members, and of all points."""
+
+
+def ground(rng: np.random.Generator, spacing_m: float, slope: float) -> Array:
+    """A random sample of a square, with points ``spacing_m`` apart on average."""
+    place = rng.uniform(-HALF_M, HALF_M, (int((2 * HALF_M / spacing_m) ** 2), 2))
+    return np.column_stack([place, slope * place[:, 0] + rng.normal(0, NOISE_M, len(place))])
+
+
+def main() -> None:
+    """Print right and false bars of each cloud."""
+    poles = np.array([[[x, y, SLOPE * x], [x, y, 4.0 + SLOPE * x]] for x in (-3, 0, 3) for y in (-3, 0, 3)])
+    cases: dict[str, tuple[Array, float, tuple[int, ...], tuple[float, ...]]] = {
+        "mast": (lattice(10, 1.5, 1.0, 6), 0.0, (100, 200, 400, 1000), (0.04, 0.05, 0.06, 0.08, 0.1)),
+        "poles": (poles, SLOPE, (200, 1000), (0.04, 0.05, 0.06, 0.08)),
+    }
+    for name, (bars, slope, densities, spacings) in cases.items():
+        for per_m in densities:
+            for spacing_m in spacings:
+                steel = scanned(bars, per_m, WIDTH_M, NOISE_M)
+                cloud = np.concatenate([steel, ground(np.random.default_rng(1), spacing_m, slope)])
+                right = match_members(bars_of_cloud(cloud).bars, bars).right
+                print(
+                    f"{name}, {per_m} points/m, ground {spacing_m} m: {right.sum()} right, {(~right).sum()} false",
+                    flush=True,
+                )
+
+
+if __name__ == "__main__":
+    main()
