@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from steelnb.core.kernels import njit
 from steelnb.core.types import Array
 from steelnb.points import VoxelMap, voxel_grid
-from steelnb.points.surfaces import Surfaces, surfaces_of
+from steelnb.points.surface_search import surfaces_of
+from steelnb.points.surfaces import Surfaces
 from steelnb.points.voxel_kernels import find, hash_table, offsets_within
 
 TUBE_M, VOXEL_M = 0.06, 0.04

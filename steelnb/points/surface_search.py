@@ -1,0 +1,75 @@
+"""The search for the surfaces of a whole cloud, however densely each is sampled."""
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from steelnb.core.types import Array
+from steelnb.points.scan_lines import STRONGEST, direction_shares
+from steelnb.points.surfaces import NEAR, Surfaces
+from steelnb.points.voxel_map import VoxelMap
+
+COARSER, DENSE_MIN, CLEAR_VOXELS = (2, 4), 4, 3
+"""See `surfaces_of`: wider cells, in multiples of the edge; number of points in a voxel of dense steel, or this part
+of the usual one; and distance of what is sparse from it, in voxels, since range noise spreads points around a bar."""
+RINGS, NEW_RINGS_MIN, BELOW_MAX, CONTINUED = 8, 0.02, 0.02, 4.0
+"""Cells in which ground is sought that was scanned in rings, in multiples of the edge; minimum share of it that is new;
+maximum share of the points below it; and how many times farther than other surfaces it continues past its cells."""
+RINGS_MAX, ROWS_MIN, LINE_CELLS = 0.8, 0.85, 2.5
+"""Maximum share of the lines of rings in four directions, .4 to .6 for ground and 1 for a lattice; minimum share of
+those on a wall in one direction; and radius, in cells, in which a direction is measured."""
+
+
+def surfaces_of(voxels: VoxelMap, ridge: Array, cell_m: float) -> Surfaces:
+    """The surfaces of a cloud: in its ridges, and in wider cells in what is sparse and off dense steel. Ground that is
+    sampled more sparsely than the steel has gaps, and its points lie along many lines. Level surfaces are sought in the
+    whole cloud, too: if its density varies, ground may be as dense as steel elsewhere. Towers of few points have faces
+    with the look of walls, but no floors; a wall that was scanned in rows has lines in one direction. The lowest
+    surface may have been scanned in rings: then its lines have all directions."""
+    found, thin, weight = Surfaces.found_in(ridge, cell_m), voxels.means(), voxels.weights()
+    ordered = np.sort(weight)
+    usual = ordered[np.searchsorted(np.cumsum(ordered), weight.sum() / 2)]  # half of the points lie in fuller voxels
+    label, is_dense = found.label_of(thin), weight >= min(DENSE_MIN, usual / DENSE_MIN)
+    steel = thin[is_dense & (label < 0)]
+    is_sparse = ~is_dense
+    if len(steel):
+        distance = cKDTree(steel).query(thin[is_sparse], distance_upper_bound=CLEAR_VOXELS * voxels.voxel_m)[0]
+        is_sparse[is_sparse] = np.isinf(distance)
+
+    def is_level_or_in_rows(wide: Surfaces) -> NDArray[np.bool_]:
+        return wide.is_level | (_lines_off(wide, found, thin, LINE_CELLS * cell_m)[:, 0] >= ROWS_MIN)
+
+    def is_ground_in_rings(wide: Surfaces) -> NDArray[np.bool_]:
+        directions = _lines_off(wide, found, thin, LINE_CELLS * cell_m).sum(axis=1)
+        return wide.is_level & (directions <= RINGS_MAX) & (_share_below(wide, thin) <= BELOW_MAX)
+
+    near_m = NEAR * cell_m
+    for wider in COARSER:
+        found = found.extended(thin[is_sparse | (label >= 0)], wider * cell_m, near_m)
+        found = found.extended(thin, wider * cell_m, near_m, is_level_or_in_rows)
+        label = found.label_of(thin)
+    found = found.extended(thin, RINGS * cell_m, near_m, is_ground_in_rings, NEW_RINGS_MIN)
+    is_in_rings = found.cell_m > COARSER[-1] * cell_m
+    return replace(found, reach_m=np.where(is_in_rings, CONTINUED, 1.0) * found.reach_m)
+
+
+def _lines_off(wide: Surfaces, known: Surfaces, points: Array, radius_m: float) -> Array:
+    """`direction_shares` of the ``points (N, 3)`` on each surface that lie on none of those that are ``known``:
+    ``(S, STRONGEST)``."""
+    label = np.where(known.label_of(points) < 0, wide.label_of(points), -1)
+    shares = np.empty((len(wide), STRONGEST))
+    for k, cells in enumerate(wide.cells):
+        normal = np.linalg.svd(cells - cells.mean(axis=0), full_matrices=False)[2][2]
+        shares[k] = direction_shares(points[label == k], normal, radius_m)
+    return shares
+
+
+def _share_below(wide: Surfaces, points: Array) -> Array:
+    """Share of the ``points (N, 3)`` that lie below each surface, by more than twice its band ``(S,)``."""
+    below = np.empty(len(wide))
+    for k, cells in enumerate(wide.cells):
+        nearest = cKDTree(cells[:, :2]).query(points[:, :2])[1]
+        below[k] = (points[:, 2] < cells[nearest, 2] - 2 * wide.band_m).mean()
+    return below

@@ -1,0 +1,86 @@
+"""Ground and walls of which a spinning scanner has left separate lines."""
+
+import numpy as np
+import pytest
+
+from steelnb.fusion.whole_cloud import bars_of_cloud
+from steelnb.points.scan_lines import direction_shares
+from tests.lattice import lattice, scanned
+
+UP, AHEAD = np.array([0.0, 0.0, 1.0]), np.array([1.0, 0.0, 0.0])
+STATIONS = ((9.0, 0.0), (0.0, 9.0), (-9.0, 0.0), (0.0, -9.0))
+
+
+def rays(beams: int, half_deg: float) -> np.ndarray:
+    """Directions of one turn ``(N, 3)``: a ray each 0.2°, in beams from ``-half_deg`` to ``half_deg``."""
+    elevation, azimuth = np.meshgrid(
+        np.radians(np.linspace(-half_deg, half_deg, beams)), np.radians(np.arange(0, 360, 0.2))
+    )
+    flat = np.cos(elevation)
+    return np.stack([flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(elevation)], axis=-1).reshape(-1, 3)
+
+
+def seen(beams: int, half_deg: float, wall_x: float | None = None, far_m: float = 35.0) -> np.ndarray:
+    """Ground, and a wall of 20 × 8 m, from the stations, 1.5 m above the ground: ``(N, 3)`` with noise of 1 cm."""
+    rng, ray, points = np.random.default_rng(0), rays(beams, half_deg), []
+    with np.errstate(divide="ignore", invalid="ignore"):
+        for x, y in STATIONS:
+            range_m = np.where(ray[:, 2] < 0, -1.5 / ray[:, 2], np.inf)
+            if wall_x is not None:
+                to_wall = (wall_x - x) / ray[:, 0]
+                hit = ray * to_wall[:, None]
+                is_hit = (to_wall > 0) & (abs(y + hit[:, 1]) < 10) & (abs(hit[:, 2] + 1.5 - 4) < 4)
+                range_m = np.where(is_hit, np.minimum(to_wall, range_m), range_m)
+            near = range_m < far_m
+            range_m = range_m[near] + rng.normal(scale=0.01, size=near.sum())
+            points.append(np.array([x, y, 1.5]) + range_m[:, None] * ray[near])
+    return np.concatenate(points)
+
+
+@pytest.mark.parametrize(("beams", "half_deg"), [(64, 22.5), (16, 15.0)])
+def test_rings_on_the_ground_are_no_bars(beams, half_deg):
+    mast = lattice(8.0, 2.0, 1.0, 4)
+    found = bars_of_cloud(np.concatenate([seen(beams, half_deg), scanned(mast, 400, 0.06, 0.005)]))
+    assert (np.maximum(found.bars.start, found.bars.end)[:, 2] < 0.3).mean() < 0.05
+    assert len(found.bars) > 0.9 * len(mast)
+    assert found.surfaces[0].points > 0.9 * len(seen(beams, half_deg))
+
+
+def test_rows_on_a_wall_are_no_bars():
+    mast = lattice(8.0, 2.0, 1.0, 4)
+    points = np.concatenate([seen(64, 22.5, wall_x=-14.0, far_m=20.0), scanned(mast, 400, 0.06, 0.005)])
+    found = bars_of_cloud(points)
+    assert np.count_nonzero(found.bars.start[:, 0] < -13.5) <= 3
+    assert len(found.bars) > 0.9 * len(mast)
+
+
+def test_a_level_lattice_is_no_ground():
+    """The bottom of a bridge: two chords, struts a metre apart, and diagonals."""
+    x = np.arange(12.0)
+    chords = [[[0, y, 0], [11, y, 0]] for y in (-1.0, 0.0, 1.0)]
+    struts = [[[each, -1, 0], [each, 1, 0]] for each in x]
+    diagonals = [[[each, y, 0], [each + 1, y + 1, 0]] for each in x[:-1] for y in (-1, 0)]
+    bars = np.array([*chords, *struts, *diagonals], dtype=float)
+    found = bars_of_cloud(scanned(bars, 200, 0.06, 0.005))
+    assert found.surfaces == []
+    assert len(found.bars) == len(chords) + len(struts) + len(x)  # diagonals in line are one
+
+
+def test_directions_are_those_of_the_lines():
+    rng = np.random.default_rng(0)
+    along = np.arange(0.0, 10.0, 0.02)
+    flat = np.zeros_like(along)
+    ways = [(along, flat + k) for k in range(5)] + [(flat + k, along) for k in range(3)]
+    grid = np.concatenate([np.column_stack([x, y, flat]) for x, y in ways])
+    np.testing.assert_allclose(direction_shares(grid, UP, 0.25)[:2], [5 / 8, 3 / 8], atol=0.03)
+    np.testing.assert_allclose(direction_shares(grid[:, [2, 0, 1]], AHEAD, 0.25)[:2], [5 / 8, 3 / 8], atol=0.03)
+    turn = rng.uniform(0, 2 * np.pi, 20_000)
+    ring = np.repeat(np.arange(2, 12), 2000)
+    rings = np.column_stack([ring * np.cos(turn), ring * np.sin(turn), 0 * turn])
+    assert 0.3 < direction_shares(rings, UP, 0.25).sum() < 0.5
+
+
+def test_few_points_and_scattered_ones_have_no_directions():
+    rng = np.random.default_rng(0)
+    for points in (np.zeros((0, 3)), np.zeros((5, 3)), rng.uniform(0, 1, (300, 3)) * [1, 1, 0]):
+        assert np.isnan(direction_shares(points, UP, 0.25)).all()
