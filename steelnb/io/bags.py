@@ -10,20 +10,18 @@ from typing import NamedTuple
 import numpy as np
 
 from steelnb.core.errors import InputError
-from steelnb.core.types import GRAVITY, Array, Imu, IntArray, Trajectory
+from steelnb.core.types import Array, Imu, IntArray, Trajectory
 from steelnb.io import messages as ros
-from steelnb.io.clocks import rising_stamps
+from steelnb.io.clocks import taken_together
 from steelnb.io.containers import Container, LostIndexError
 from steelnb.io.frames import Frames, drone_axes, sensor_frames, world_axes
 from steelnb.io.headers import Headers, frame_name
+from steelnb.io.inertial import usable_samples
 from steelnb.io.opened import Opened
 from steelnb.io.scanning import Raw
 from steelnb.io.topics import PoseSource, camera_topic, pose_source, scan_topic
 from steelnb.io.trajectories import read_trajectory, trajectory_of
 from steelnb.io.transforms import Tree, check_order, is_world_name
-
-GRAVITIES = 0.7, 1.3
-"""Bounds of the median acceleration of a drone that hovers, if a driver gives multiples of gravity."""
 
 
 class Clock(NamedTuple):
@@ -69,13 +67,22 @@ class _Bag:
         unplaced = np.isnan(frames.stamp_s) & ~np.isnan(stamp_s)
         self.headers.skipped["scan without a transform to the drone"] += int(unplaced.sum())
         facts = {"scans": f"{topic} ({self.bag.types[topic].rpartition('/')[2]})", "poses": said}
-        facts |= {"mount": frames.source, "frames": frames.chain} | ({"imu": imus[0]} if imus else {})
+        facts |= {"mount": frames.source, "frames": frames.chain}
         imu = self._imu(imus[0], tree, body) if imus and imus[0] in self.headers.frame_of else None
+        facts |= {"imu": imus[0]} if imu is not None else {}
+        groups = taken_together(frames.stamp_s, self.headers.scan_frames)
+        if len(groups) < len(frames.stamp_s):
+            said = (
+                f"{len(frames.stamp_s)} messages of several sensors are {len(groups)} scans: those of one stamp are one"
+            )
+            self.headers.notes[said] = None
+        for topic_left in source.left_out:
+            self.headers.notes[f"poses of {topic_left} are left out: {self.bag.count(topic_left)} of them"] = None
         lost = ["what is whole is read"] if self.bag.notes else []
         notes = [*self.bag.notes, *lost, *self.headers.notes, *frames.notes]
         facts |= {"notes": "; ".join(notes)} if notes else {}
-        walk = partial(self._walk, topic, cameras, frames)
-        return Opened(frames.stamp_s, walk, prior, frames.T_drone_sensor, facts, imu, self.headers.skipped)
+        walk, first = partial(self._walk, topic, cameras, frames, groups), [group[0] for group in groups]
+        return Opened(frames.stamp_s[first], walk, prior, frames.T_drone_sensor, facts, imu, self.headers.skipped)
 
     def _poses(self, source: PoseSource, tree: Tree, sensor: str) -> tuple[Trajectory, str, str, str]:
         """Poses of the drone, names of the world and of the drone's frame, and the source in words."""
@@ -113,15 +120,21 @@ class _Bag:
         return Trajectory(poses.stamp_s, T_up_world @ poses.T_world_drone @ drone_axes(body))
 
     def _path(self, topic: str) -> tuple[Trajectory, str, str]:
-        """Poses of a Path topic: those of its longest message, as some grow and others keep the latest poses."""
+        """Poses of a Path topic: those of its longest message, and the latest of others: some grow, and others keep
+        the latest poses."""
         if self.clock.by_log or self.headers.longest is None:
             raise InputError(
                 f"{topic}: the poses of a Path have only their own stamps; expected another topic of poses"
             )
         message = self.bag.decode(self.headers.longest)
-        rows = [(ros.stamp_of(each), *ros.pose_numbers(each, ros.POSE_STAMPED)) for each in message.poses]
-        found = trajectory_of(self.bag.path, np.array(rows, dtype=float).reshape(-1, 8), self.headers.skipped)
-        return found, frame_name(message.header.frame_id), f"{topic} (the longest Path of it, {len(rows)} poses)"
+        rows = np.array([ros.stamped_pose(each) for each in message.poses], dtype=float).reshape(-1, 8)
+        latest = np.array(self.headers.latest_of_paths, dtype=float).reshape(-1, 8)
+        latest = latest[~np.isin(latest[:, 0], rows[:, 0])]
+        latest = latest[np.unique(latest[:, 0], return_index=True)[1]]
+        joined = np.concatenate([latest, rows])
+        found = trajectory_of(self.bag.path, joined[np.argsort(joined[:, 0], kind="stable")], self.headers.skipped)
+        more = f" and {len(latest)} of others" if len(latest) else ""
+        return found, frame_name(message.header.frame_id), f"{topic} (the longest Path of it, {len(rows)} poses{more})"
 
     def _cameras(self, topic: str) -> list[tuple[float, ros.CameraInfo]]:
         """The cameras of depth images, each from its stamp on, and notes on what is left out or contradicts."""
@@ -143,35 +156,34 @@ class _Bag:
 
     def _imu_topics(self) -> list[str]:
         """The first topic of an IMU whose readings are all measured, in a list, which is empty if there is none."""
-        topics = self.bag.of_type(ros.IMU)
-        chosen = next(([topic] for topic in topics if self._measures_all(topic)), [])
-        left = [topic for topic in topics if topic not in chosen]
+        measured = {topic: self._measured(topic) for topic in self.bag.of_type(ros.IMU)}
+        parts = set().union(*measured.values())
+        chosen = [topic for topic, own in measured.items() if "both" in own and own == parts][:1]
+        left = [topic for topic in measured if topic not in chosen]
         if left:
             self.headers.notes[f"inertial readings of {', '.join(left)} are left out"] = None
         return chosen
 
-    def _measures_all(self, topic: str) -> bool:
-        """Whether an IMU measures accelerations and angular rates: −1 in a covariance says that it does not."""
+    def _measured(self, topic: str) -> set[str]:
+        """What an IMU measures by its first message: −1 in a covariance says that it does not measure ``both``, and
+        zeros say nothing but beside another topic that has the part."""
         for raw in self.bag.messages(topic):
             with suppress(InputError):
                 first = self.bag.decode(raw)
-                return -1 not in (first.angular_velocity_covariance[0], first.linear_acceleration_covariance[0])
-        return True
+                parts = {"force": first.linear_acceleration, "rate": first.angular_velocity}
+                lacks = -1 in (first.angular_velocity_covariance[0], first.linear_acceleration_covariance[0])
+                return {name for name, part in parts.items() if any(ros.numbers(part))} | (set() if lacks else {"both"})
+        return {"both"}
 
-    def _imu(self, topic: str, tree: Tree, body: str) -> Imu:
-        """Inertial samples with increasing stamps, in the axes of the drone if a transform relates them."""
+    def _imu(self, topic: str, tree: Tree, body: str) -> Imu | None:
+        """Inertial samples with increasing stamps, in the axes of the drone if a transform relates them; None if none
+        is of use."""
         rows = self.headers.rows(topic, 6, "inertial sample")
-        whole, skipped = rows[np.isfinite(rows).all(axis=1)], self.headers.skipped
-        skipped["inertial sample that is not finite"] += len(rows) - len(whole)
-        rows = whole[rising_stamps(whole[:, 0])]
-        skipped["inertial sample whose stamp does not rise"] += len(whole) - len(rows)
-        size = float(np.linalg.norm(np.median(rows[:, 1:4], axis=0))) if len(rows) else 0.0
-        if GRAVITIES[0] < size < GRAVITIES[1]:
-            rows[:, 1:4] *= GRAVITY
-            self.headers.notes[f"accelerations of {topic} are in g, with a median of {size:.2f}"] = None
-        first_s = rows[:1, 0] if len(rows) else np.zeros(1)
+        rows = usable_samples(rows, topic, self.headers.notes, self.headers.skipped)
+        if not len(rows):
+            return None
         frame = self.headers.frame_of[topic][0]
-        place = tree.place(body, tree.resolve(frame), first_s)
+        place = tree.place(body, tree.resolve(frame, body), rows[:1, 0])
         if place is None:
             note = f"no transform from {body} to {frame or 'the IMU'}: its axes are taken from its name"
             self.headers.notes[note] = None
@@ -180,10 +192,17 @@ class _Bag:
         return Imu(rows[:, 0], rows[:, 1:4] @ R_drone_imu.T, rows[:, 4:] @ R_drone_imu.T)
 
     def _walk(
-        self, topic: str, cameras: list[tuple[float, ros.CameraInfo]], frames: Frames, number: IntArray
+        self,
+        topic: str,
+        cameras: list[tuple[float, ros.CameraInfo]],
+        frames: Frames,
+        groups: list[list[int]],
+        number: IntArray,
     ) -> Iterator[Callable[[], Array]]:
-        """Decoders of the scans with these increasing numbers."""
-        selected, last = set(number.tolist()), int(number.max(initial=-1))
+        """Decoders of the scans with these increasing numbers; ``groups``: numbers of the messages of each."""
+        selected = [groups[k] for k in number.tolist()]
+        ends, parts = {group[-1] for group in selected}, list[Callable[[], Array]]()
+        wanted, last = {k for group in selected for k in group}, max(ends, default=-1)
 
         def points(raw: Raw, k: int) -> Array:
             message = self.bag.decode(raw)
@@ -194,7 +213,15 @@ class _Bag:
             return frames.convert(ros.depth_points(message, begun[-1] if begun else cameras[0][1]), k)
 
         for k, raw in enumerate(self.bag.messages(topic)):
-            if k in selected:
-                yield partial(points, raw, k)
+            if k in wanted:
+                parts.append(partial(points, raw, k))
+            if k in ends:
+                yield partial(_joined, parts)
+                parts = []
             if k >= last:
                 return
+
+
+def _joined(parts: list[Callable[[], Array]]) -> Array:
+    """The points of all parts of a scan."""
+    return parts[0]() if len(parts) == 1 else np.concatenate([part().reshape(-1, 3) for part in parts])

@@ -1,6 +1,7 @@
 """Stamps that a clock got wrong: found before anything is ordered by them."""
 
 from bisect import bisect_left, bisect_right
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,3 +49,16 @@ def rising_stamps(stamp_s: Array, strictly: bool = True) -> IntArray:
     while before[chosen[-1]] >= 0:
         chosen.append(int(before[chosen[-1]]))
     return known[chosen]
+
+
+def taken_together(stamp_s: Array, frames: Sequence[str]) -> list[list[int]]:
+    """Numbers of the messages of each scan: those of several sensors, by their ``frames (N,)``, that follow each other
+    with one stamp in ``stamp_s (N,)`` are one scan."""
+    found: list[list[int]] = []
+    for k, (stamp, frame) in enumerate(zip(stamp_s.tolist(), frames, strict=True)):
+        last = found[-1] if found else []
+        if last and stamp == stamp_s[last[0]] and frame not in {frames[each] for each in last}:
+            last.append(k)
+        else:
+            found.append([k])
+    return found

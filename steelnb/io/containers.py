@@ -8,6 +8,7 @@ import functools
 import heapq
 import os
 import re
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path, PurePath
 from typing import Any
@@ -122,12 +123,18 @@ class Container:
         """Topics of these message types."""
         return [topic for topic, kind in self.types.items() if kind in kinds]
 
+    def count(self, topic: str) -> int:
+        """Number of messages of a topic."""
+        return sum(part.counts[topic] for part in self.parts)
+
     def choose(self, role: str, name: str | None, candidates: list[str]) -> str:
         """The candidate topic with that name, or the only candidate. Raises `InputError`."""
         if name in candidates or (name is None and len(candidates) == 1):
             return name or candidates[0]
+        kinds = {topic: kind.rpartition("/")[2] for topic, kind in sorted(self.types.items())}
         found = f"no topic {name!r}" if name else f"no {role}" if not candidates else f"several topics of {role}"
-        topics = [f"{topic} ({kind.rpartition('/')[2]})" for topic, kind in sorted(self.types.items())]
+        found = f"{name} is {kinds[name]}" if name in kinds else found
+        topics = [f"{topic} ({kind})" for topic, kind in kinds.items() if topic in candidates or not candidates]
         raise InputError(f"{self.path}: {found}; expected one topic of {role}, or its name, among {', '.join(topics)}")
 
     def messages(self, *topics: str) -> Iterator[Raw]:
@@ -161,6 +168,7 @@ class Part:
     def __init__(self, path: Path, notes: dict[str, None]) -> None:
         self.path, self._notes, self._is_scanned = path, notes, False
         self.types: dict[str, str] = {}
+        self.counts = Counter[str]()
         self.unread: set[str] = set()
         self.span_ns = 2**63, 0
         for beside in (path.with_name(f"{path.name}-{ending}") for ending in ("wal", "journal")):
@@ -191,7 +199,8 @@ class Part:
                 for connection, log_ns, data in reader.messages(selected) if selected else ():
                     if not isinstance(log_ns, int):
                         raise TypeError(log_ns)
-                    yield Raw(log_ns, connection.topic, connection.msgtype, _encoding(connection), data)
+                    kind = ros_type(connection.msgtype)  # some recorders leave out the /msg/
+                    yield Raw(log_ns, connection.topic, kind, _encoding(connection), data)
         except Exception:  # of the library, in the middle of a damaged file
             self._is_scanned = self.path.is_file()
             if not self._is_scanned:
@@ -205,7 +214,7 @@ class Part:
 
     def _survey(self) -> None:
         """Topics and times from one pass through the file."""
-        self.types, self.unread, stamps = {}, set(), [2**63, 0]
+        self.types, self.counts, self.unread, stamps = {}, Counter(), set(), [2**63, 0]
         try:
             for raw in scan(self.path, self._note) if self.path.is_file() else ():
                 self._add(raw.topic, raw.kind, raw.encoding, 1)
@@ -217,6 +226,7 @@ class Part:
     def _add(self, topic: str, kind: str, encoding: str, count: int) -> None:
         if count and _is_known(encoding):
             self.types[topic] = ros_type(kind)
+            self.counts[topic] += count
         elif count:
             self.unread.add(encoding)
 

@@ -1,5 +1,6 @@
 """Frames of the scans of a recording: each scan by its own frame, all given in one frame of the sensor."""
 
+import re
 from collections import Counter
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -16,6 +17,8 @@ T_OPTICAL_SENSOR = np.array([[0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 
 """Rotation from x forward, y left, z up to optical axes: z forward, x right, y down (REP 103)."""
 T_UP_DOWN = np.diag([1.0, -1.0, -1.0, 1.0])
 """Rotation between axes with z down and y right (NED, FRD) and those with z up and y left (REP 103)."""
+UPRIGHT = 0.9
+"""Minimum cosine between the vertical and the z axis of a frame that stands upright on the drone."""
 
 
 class Frames(NamedTuple):
@@ -54,17 +57,22 @@ def sensor_frames(
     """
     frame, used = np.array(names, dtype=object), ~np.isnan(stamp_s)
     optical = np.array([is_depth or is_optical(name) for name in names])
-    seen = [name for name, _ in Counter(frame[used].tolist()).most_common()]
+    seen, notes = [name for name, _ in Counter(frame[used].tolist()).most_common()], list[str]()
     T_drone_scan, known = np.tile(np.eye(4), (len(frame), 1, 1)), np.zeros(len(frame), bool)
     placed: dict[str, Placement] = {}
     for name in seen:
         at = np.flatnonzero((frame == name) & used)
-        found = tree.place(body, tree.resolve(name), stamp_s[at])
+        found = tree.place(body, tree.resolve(name, body), stamp_s[at])
         if found is not None and mount is None:
             placed[name] = found
-            turn = T_OPTICAL_SENSOR if is_depth or is_optical(name) else np.eye(4)
-            T_drone_scan[at] = np.linalg.inv(drone_axes(body)) @ found.T_target_source @ turn
-            known[at] = found.known
+            T_drone_frame = np.linalg.inv(drone_axes(body)) @ found.T_target_source
+            is_upright = is_depth and not is_optical(name) and T_drone_frame[0, 2, 2] > UPRIGHT
+            if is_upright:  # REP 103: axes are optical only if the name says so
+                notes.append(
+                    f"depth images are in {name}, which stands upright and is not optical by its name: x is ahead"
+                )
+            turn = np.eye(4) if is_upright or not optical[at[0]] else T_OPTICAL_SENSOR
+            T_drone_scan[at], known[at] = T_drone_frame @ turn, found.known
     main = next(iter(placed), seen[0])
     others = [name for name in seen if name not in placed and name != main]
     if mount is not None and len(seen) > 1:
@@ -81,6 +89,10 @@ def sensor_frames(
         T_mount, source = np.eye(4), f"no tf_static from {body} to {main or 'the sensor'}: identity assumed"
         T_mount, source = (T_mount, source) if mount is None else (mount, "as given")
         chain, moved = [*chain, f"{main or 'the sensor'} ({source.rpartition(': ')[2]})"], np.zeros(len(frame), bool)
+        if mount is None and (parents := [each for each in tree.above(tree.resolve(main, body)) if each != main]):
+            notes.append(
+                f"{parents[0]} → {main} is known, but nothing relates {body} to {parents[0]}: identity assumed"
+            )
     else:
         is_world = _is_of_world(tree, world, placed[main].frames)
         first = np.flatnonzero((frame == main) & known)[:1]
@@ -89,7 +101,7 @@ def sensor_frames(
         moved = (T_drone_scan != T_mount).any(axis=(1, 2))
         chain += [f"{main}, by the poses"] if is_world else placed[main].frames[1:]
     more = [name for name in placed if name != main]
-    notes = [f"scans are in frames {', '.join([main, *more])}; all are given in that of {main}"] if more else []
+    notes += [f"scans are in frames {', '.join([main, *more])}; all are given in that of {main}"] if more else []
     notes += [f"scans in {', '.join(map(repr, others))} are left out: no transform to {main}"] if others else []
     stamps = np.where(known, stamp_s, np.nan)
     T_sensor_scan = np.linalg.inv(T_mount) @ T_drone_scan
@@ -123,15 +135,22 @@ def _source(tree: Tree, body: str, name: str, placed: Placement, is_world: bool)
 
 def drone_axes(frame: str) -> Array:
     """Rotation ``(4, 4)`` from the drone's axes to a frame's, by its name (REP 103): optical axes, or z down and y
-    right (``_frd``); else the identity."""
-    return T_OPTICAL_SENSOR if is_optical(frame) else T_UP_DOWN if frame.endswith("_frd") else np.eye(4)
+    right (frd, ned); else the identity."""
+    return T_OPTICAL_SENSOR if is_optical(frame) else world_axes(frame)
 
 
 def world_axes(frame: str) -> Array:
-    """Rotation ``(4, 4)`` from the axes of a frame of the world to those with z up, by its name (``_ned``)."""
-    return T_UP_DOWN if frame.endswith(("_ned", "/ned")) or frame == "ned" else np.eye(4)
+    """Rotation ``(4, 4)`` from the axes of a frame of the world to those with z up, by its name (ned, frd)."""
+    return T_UP_DOWN if {"ned", "frd"} & _words(frame) else np.eye(4)
 
 
 def is_optical(frame: str) -> bool:
     """Whether a frame has optical axes by its name."""
-    return frame.endswith(("_optical_frame", "_optical"))
+    return "optical" in _words(frame)
+
+
+def _words(frame: str) -> set[str]:
+    """The words of a frame's name without its namespace, in lower case: of camera_optical_link and CameraOpticalLink,
+    camera, optical and link."""
+    found = re.findall(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+", frame.rpartition("/")[2])
+    return {word.lower() for word in found}

@@ -2,6 +2,7 @@
 
 from array import array
 from collections import Counter, defaultdict
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -21,7 +22,9 @@ class Headers:
     """Stamps and frames of the scans, and the values of small messages; ``by_log``: stamps are times of recording.
 
     ``frame_of``: frame and child frame of each topic; ``scan_frames``: frame of each scan; ``shape``: rows and columns
-    of the first; ``cameras`` of topics, each with the stamp from which it holds; ``longest``: the longest Path;
+    of the first; ``cameras`` of topics, each with the stamp from which it holds; ``longest``: the longest Path, the
+    last of its length; ``latest_of_paths``: stamps and poses of the first that another one was no longer than, and the
+    last one of each such;
     ``notes`` on what contradicted itself; ``faults``: of each topic the first message that cannot be decoded;
     ``skipped``: counts of what is left out; ``unstamped``: frames on moving transforms without stamps, and a text on
     each.
@@ -35,6 +38,7 @@ class Headers:
         self.shape: tuple[int, int] | None = None
         self.cameras: dict[str, list[tuple[float, ros.CameraInfo]]] = defaultdict(list)
         self.longest: Raw | None = None
+        self.latest_of_paths: list[tuple[float, ...]] = []
         self.notes: dict[str, None] = {}
         self.faults: dict[str, InputError] = {}
         self.skipped = Counter[str]()
@@ -44,7 +48,7 @@ class Headers:
         """Store the values of small messages, and stamps and frames of the scans. Raises `InputError`."""
         for raw in self._bag.messages(scans, *others):
             if raw.kind == ros.PATH:  # decoding each message of a path that grows takes the square of its length
-                self.longest = raw if self.longest is None or len(raw.data) >= len(self.longest.data) else self.longest
+                self._look_at_path(raw)
                 continue
             try:
                 self._store(raw, self._bag.decode(raw), raw.topic == scans)
@@ -85,6 +89,16 @@ class Headers:
         """The stamp that counts and the time of recording, seconds."""
         log_s = raw.log_ns / 1e9
         return log_s if self._by_log else ros.stamp_of(message), log_s
+
+    def _look_at_path(self, raw: Raw) -> None:
+        """Keep the longest Path. One that does not grow has lost its first poses, so the last of each counts."""
+        if self.longest is not None and len(raw.data) <= len(self.longest.data):
+            with suppress(InputError):
+                if not self.latest_of_paths:
+                    self.latest_of_paths += map(ros.stamped_pose, self._bag.decode(self.longest).poses)
+                self.latest_of_paths += map(ros.stamped_pose, self._bag.decode(raw).poses[-1:])
+        if self.longest is None or len(raw.data) >= len(self.longest.data):
+            self.longest = raw
 
     def _look_at(self, message: Any, kind: str) -> None:
         """Note what contradicts a scan's message. A fault is that of the scan, when it is read."""

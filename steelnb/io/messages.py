@@ -129,6 +129,11 @@ def pose_numbers(message: Any, kind: str) -> list[float]:
     return numbers(pose.position, pose.orientation)
 
 
+def stamped_pose(message: Any) -> tuple[float, ...]:
+    """Stamp, position and quaternion xyzw of a PoseStamped."""
+    return stamp_of(message), *pose_numbers(message, POSE_STAMPED)
+
+
 def stamp_of(message: Any) -> float:
     """Stamp in the header, seconds."""
     stamp = message.header.stamp

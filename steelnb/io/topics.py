@@ -10,17 +10,21 @@ from steelnb.io.containers import Container
 from steelnb.io.layouts import DEPTHS
 
 SCANS = "clouds (PointCloud2 or depth images)"
+POSES_MIN = 3
+"""A topic with fewer poses may be a goal or a start."""
 
 
 class PoseSource(NamedTuple):
     """Where the poses of the drone come from: a trajectory ``file``; or transforms, which ``uses_tf`` says, between
-    the ``pair`` of world and drone if it is named; or the only one of ``topics``. ``tf``: topics of transforms."""
+    the ``pair`` of world and drone if it is named; or the only one of ``topics``. ``tf``: topics of transforms;
+    ``left_out``: of poses that are too few to be the drone's."""
 
     tf: tuple[str, ...]
     uses_tf: bool = False
     topics: tuple[str, ...] = ()
     file: str = ""
     pair: tuple[str, str] | None = None
+    left_out: tuple[str, ...] = ()
 
 
 def scan_topic(bag: Container, name: str | None) -> str:
@@ -59,10 +63,16 @@ def depth_images(bag: Container, name: str | None) -> tuple[list[str], list[Inpu
 def pose_source(bag: Container, name: str | None, scans: str) -> PoseSource:
     """The source of the poses for the topic of the scans. Raises `InputError`.
 
-    By default the only topic of Odometry or PoseStamped, else tf, else the only one of another type with poses.
+    By default the only topic of Odometry or PoseStamped, else tf, else the only one of another type with poses. Topics
+    with one or two poses for many scans, such as goals, are left out.
     """
     tf = _tf_topics(bag, scans)
     first = bag.of_type(ros.ODOMETRY, ros.POSE_STAMPED)
+    few = [topic for topic in first if bag.count(topic) < POSES_MIN and 2 * bag.count(topic) < bag.count(scans)]
+    if name is None and few and (tf or len(few) < len(first)):
+        first = [topic for topic in first if topic not in few]
+    else:
+        few = []
     others = bag.of_type(ros.POSE_COVARIANCE, ros.TRANSFORM, ros.PATH)
     if name in bag.of_type(*ros.TF):
         space = name.rpartition("/")[0]
@@ -70,12 +80,13 @@ def pose_source(bag: Container, name: str | None, scans: str) -> PoseSource:
     if name and name not in bag.types:
         if Path(name).is_file():
             return PoseSource(tf, file=name)
-        if pair := re.fullmatch(r"(?:tf )?\s*/?([^>→]+?)\s*(?:>|→)\s*/?([^>→]+?)\s*", name):
+        if pair := re.fullmatch(r"(?:tf )?\s*/?([^>→]+?)\s*(?:-?>|→)\s*/?([^>→]+?)\s*", name):
             return PoseSource(tf, uses_tf=True, pair=(pair[1], pair[2]))
     if name or first:
-        return PoseSource(tf, topics=(bag.choose("poses", name, [*first, *others] if name else first),))
+        topic = bag.choose("poses", name, [*first, *others] if name else first)
+        return PoseSource(tf, topics=(topic,), left_out=tuple(few))
     if tf:
-        return PoseSource(tf, uses_tf=True, topics=tuple(others) if len(others) == 1 else ())
+        return PoseSource(tf, uses_tf=True, topics=tuple(others) if len(others) == 1 else (), left_out=tuple(few))
     return PoseSource(tf, topics=(bag.choose("poses", None, others),))
 
 

@@ -16,8 +16,8 @@ WORLDS = ("odom", "world", "map", "camera_init")
 """Usual names of the frame of poses, the preferred first (REP 105): poses in odom drift but do not jump."""
 BODIES = ("base_link", "body", "base", "fcu", "base_footprint")
 """Usual names of the drone's frame, the preferred first (REP 105)."""
-STILL = 1e-9
-"""A transform on tf that varies by less is static: ROS 1 repeats static ones there."""
+STILL = 1e-6
+"""A transform on tf that varies by less is static: ROS 1 repeats static ones there, some in single precision."""
 
 
 class Edge(NamedTuple):
@@ -57,10 +57,12 @@ class Tree:
         """Names of all frames."""
         return {frame for edge in self.edges for frame in edge}
 
-    def resolve(self, frame: str) -> str:
-        """The frame of this name or, if there is none, the only one of this name in a namespace or without one."""
+    def resolve(self, frame: str, beside: str = "") -> str:
+        """The frame of this name or, if there is none, the only one of this name in a namespace or without one; of
+        several the one in the namespace of ``beside``."""
         same = [each for each in self.frames if _last(each) == _last(frame)]
-        return same[0] if frame not in self.frames and len(same) == 1 and frame else frame
+        near = [each for each in same if beside and _space(each) == _space(beside)] or same
+        return near[0] if frame not in self.frames and len(near) == 1 and frame else frame
 
     def between(self, target: str, source: str) -> list[str] | None:
         """Frames of the shortest way from ``target`` to ``source``, or None if nothing relates them."""
@@ -127,7 +129,7 @@ class Tree:
         else:  # a frame that moves itself, not one fixed to it, and no odom below a map
             bodies = [body for body in bodies if any(self.edges[key].moves for key in self.edges if key[1] == body)]
             bodies = [body for body in bodies if not is_world_name(body)] or bodies
-        beside = [body for body in bodies if body.rpartition("/")[0] == sensor.rpartition("/")[0]]
+        beside = [body for body in bodies if _space(body) == _space(sensor)]
         bodies = beside or bodies
         choices = [(world, body) for body in bodies for world in self._worlds(above[body])]
         if len(choices) == 1:
@@ -138,9 +140,13 @@ class Tree:
         )
 
     def body_of(self, sensor: str) -> str:
-        """The frame with a drone's usual name that carries ``sensor``, or the first such name if there is none."""
-        named = [frame for frame in self.above(sensor) if _last(frame) in BODIES]
-        return min(named, key=lambda frame: BODIES.index(_last(frame)), default=BODIES[0])
+        """The frame with a drone's usual name that carries ``sensor``, else the topmost one to which it is fixed; the
+        first such name if it has no place."""
+        above = self.above(sensor)
+        if named := [frame for frame in above if _last(frame) in BODIES]:
+            return min(named, key=lambda frame: BODIES.index(_last(frame)))
+        fixed = [frame for frame, way in above.items() if not is_world_name(frame) and not self.moves(way)]
+        return max(fixed, key=lambda frame: len(above[frame])) if len(above) > 1 and fixed else BODIES[0]
 
     def _worlds(self, above: dict[str, list[str]]) -> list[str]:
         """Of the frames above the drone, with the way to each, those that its poses may be in."""
@@ -177,6 +183,11 @@ class Tree:
 def _last(frame: str) -> str:
     """Name of a frame without its namespace."""
     return frame.rpartition("/")[2]
+
+
+def _space(frame: str) -> str:
+    """Namespace of a frame."""
+    return frame.rpartition("/")[0]
 
 
 def check_order(world: str, body: str) -> tuple[str, str]:

@@ -372,3 +372,28 @@ def test_other_files_are_refused(tmp_path):
     }.items():
         with pytest.raises(InputError, match=rf"{name}: .*{message}"):
             read_flight(tmp_path / name)
+
+
+def test_an_imu_in_mg_is_read_and_one_in_degrees_is_left_out(tmp_path):
+    for name, force, rate in (("mg", 1000.0, 0.1), ("degrees", 9.8, 40.0), ("huge", 1e300, 0.1)):
+        bag = Bagged(tmp_path / f"{name}.mcap").clouds().odometry().tf("base_link", "base_link_imu", np.eye(4))
+        for k in range(150):
+            message = bag.make.imu(ns(k / 400), np.array([0, 0, force]), np.array([rate, 0, 0]))
+            bag.rows.append(("/imu", "sensor_msgs/msg/Imu", k / 400, message))
+        flight = read_flight(bag.write())
+        if name == "mg":
+            np.testing.assert_allclose(flight.imu.specific_force, np.tile([0, 0, GRAVITY], (150, 1)))
+            assert "are in mg" in flight.facts["notes"]
+        else:
+            assert flight.imu is None
+            assert "imu" not in flight.facts
+    assert flight.skipped["inertial sample that is not finite"] == 150
+
+
+def test_two_topics_with_a_half_of_an_imu_each_are_left_out(tmp_path):
+    bag = Bagged(tmp_path / "a.mcap").clouds().odometry()
+    for topic, force, rate in (("/accel", 9.8, 0.0), ("/gyro", 0.0, 0.1)):
+        bag.rows.append((topic, "sensor_msgs/msg/Imu", 0.0, bag.make.imu(0, np.full(3, force), np.full(3, rate))))
+    flight = read_flight(bag.write())
+    assert flight.imu is None
+    assert "inertial readings of /accel, /gyro are left out" in flight.facts["notes"]

@@ -4,7 +4,9 @@ import numpy as np
 import pytest
 
 from steelnb.core.errors import InputError
+from steelnb.core.types import Trajectory
 from steelnb.io import read_flight, write_tum
+from steelnb.io.messages import ODOMETRY, PATH, POSE_STAMPED
 from tests.io.samples import POINTS, STAMPS, Bagged, T_of, poses
 
 MOUNT, DRONE = T_of((0.3, 0, 0.1), (0.1, -0.2, 1.5)), poses(5)
@@ -158,3 +160,108 @@ def test_poses_of_something_else_than_the_sensors_drone_are_refused(bag):
     moving(moving(bag.clouds(), "odom", "base_link"), "odom", "marker", poses(5, seed=3)).tf("base_link", "tof", MOUNT)
     with pytest.raises(InputError, match=r"poses are of marker, but tof moves without it.*--poses 'odom>base_link'"):
         read_flight(bag.odometry(child="marker").write())
+
+
+@pytest.mark.parametrize("body", ["x500", "uav1/quadrotor", "drone"])
+@pytest.mark.parametrize("poses_from", ["PoseStamped", "a file", "an empty child"])
+def test_a_drone_of_any_name_is_what_carries_the_sensor(bag, tmp_path, body, poses_from):
+    bag.clouds().tf(body, "plate", MOUNT).tf("plate", "tof", MOUNT)
+    if poses_from == "a file":
+        write_tum(tmp_path / "p.tum", DRONE)
+    else:
+        bag.odometry(child="", kind=POSE_STAMPED if poses_from == "PoseStamped" else ODOMETRY)
+    flight = read_flight(bag.write(), poses=str(tmp_path / "p.tum") if poses_from == "a file" else None)
+    np.testing.assert_allclose(flight.T_drone_sensor, MOUNT @ MOUNT, atol=1e-12)
+    assert flight.facts["mount"] == f"tf_static {body} → tof"
+
+
+def test_a_mount_on_another_frame_than_that_of_the_poses_is_named(bag):
+    bag.clouds().tf("base_link", "tof", MOUNT).odometry(child="imu_link")
+    flight = read_flight(bag.write())
+    assert "base_link → tof is known, but nothing relates imu_link to base_link" in flight.facts["notes"]
+
+
+def test_of_two_drones_the_sensor_is_that_of_the_poses(bag):
+    bag.clouds().odometry(child="b/base_link").tf("a/base_link", "a/tof", np.eye(4)).tf("b/base_link", "b/tof", MOUNT)
+    np.testing.assert_allclose(read_flight(bag.write()).T_drone_sensor, MOUNT, atol=1e-12)
+
+
+@pytest.mark.parametrize("jitter", [1e-9, 1e-7])
+def test_a_mount_on_tf_in_single_precision_is_still(bag, jitter):
+    bag.clouds().odometry()
+    for k, stamp in enumerate(STAMPS[2:]):
+        T = MOUNT.copy()
+        T[0, 3] += jitter * (k % 2)
+        bag.tf("base_link", "tof", T, stamp, "/tf")
+    flight = read_flight(bag.write())
+    assert len(flight) == len(STAMPS)
+    np.testing.assert_allclose(flight.T_drone_sensor, MOUNT, atol=1e-6)
+
+
+@pytest.mark.parametrize("sensors", [2, 3])
+def test_scans_of_several_sensors_at_one_time_are_one_scan(bag, sensors):
+    mounts = [T_of((0.1 * k, 0, 0), (0.4 * k, 0, 0)) for k in range(sensors)]
+    for stamp in STAMPS:
+        for k, mount in enumerate(mounts):
+            bag.clouds(stamps=[stamp], frame=f"l{k}")
+            if stamp == STAMPS[0]:
+                bag.tf("base_link", f"l{k}", mount)
+    flight = read_flight(bag.odometry().write())
+    assert len(flight) == len(STAMPS)
+    assert flight.skipped == {}
+    assert f"{sensors * len(STAMPS)} messages of several sensors are {len(STAMPS)} scans" in flight.facts["notes"]
+    drone = np.concatenate([POINTS.reshape(-1, 3) @ mount[:3, :3].T + mount[:3, 3] for mount in mounts])
+    for T, found in zip(DRONE.T_world_drone, world_points(flight), strict=True):
+        np.testing.assert_allclose(found, drone @ T[:3, :3].T + T[:3, 3], atol=1e-6)
+    np.testing.assert_array_equal(flight.scans[4].points, list(flight.scans)[4].points)
+
+
+@pytest.mark.parametrize("frame", ["NED", "map_ned_frame", "odom_frd", "world_ned"])
+@pytest.mark.parametrize("body", ["base_link_frd", "drone_1/odom_local_ned", "base_link"])
+def test_words_of_frames_tell_axes(bag, frame, body):
+    flip = np.diag([1.0, -1, -1, 1])
+    flight = read_flight(bag.clouds(frame="").odometry(frame=frame, child=body).write())
+    right = flip if body != "base_link" else np.eye(4)
+    np.testing.assert_allclose(flight.prior.T_world_drone, flip @ DRONE.T_world_drone @ right, atol=1e-9)
+
+
+@pytest.mark.parametrize("frame", ["optical_frame", "camera_optical_link", "tof_optical_frame_0", "TofOpticalFrame"])
+def test_optical_is_a_word_of_a_name(bag, frame):
+    scan = next(iter(read_flight(bag.clouds(frame=frame).odometry().write()).scans))
+    np.testing.assert_allclose(scan.points, POINTS[..., [2, 0, 1]] * [1, -1, -1])
+
+
+@pytest.mark.parametrize("frame", ["camera_link", "iris/depth_camera"])
+def test_a_depth_camera_that_would_look_straight_up_looks_ahead(bag, frame):
+    pixels = np.full((2, 3), 2.0, dtype=np.float32)
+    bag.images("/depth/image", pixels, "32FC1", frame).odometry().tf("base_link", frame, T_of((0.1, 0, 0)))
+    bag.camera(frame=frame)
+    flight = read_flight(bag.write())
+    ahead = next(iter(flight.scans)).points.reshape(-1, 3) @ flight.T_drone_sensor[:3, :3].T
+    np.testing.assert_allclose(ahead[:, 0], 2.0)
+    assert f"depth images are in {frame}, which stands upright" in flight.facts["notes"]
+
+
+@pytest.mark.parametrize("beside", ["tf", "Odometry"])
+def test_a_goal_is_no_trajectory(bag, beside):
+    goal = Trajectory(DRONE.stamp_s[2:3], DRONE.T_world_drone[2:3])
+    bag.clouds().odometry("/goal_pose", goal, kind=POSE_STAMPED)
+    flight = read_flight((moving(bag, "odom", "base_link") if beside == "tf" else bag.odometry()).write())
+    assert len(flight) == len(STAMPS)
+    np.testing.assert_allclose(flight.prior.T_world_drone, DRONE.T_world_drone, atol=1e-9)
+    assert "poses of /goal_pose are left out: 1 of them" in flight.facts["notes"]
+
+
+def test_a_path_that_keeps_its_latest_poses_is_joined(bag):
+    bag.clouds()
+    for end in range(1, len(STAMPS) + 1):
+        shown = slice(max(end - 2, 0), end)
+        each = [
+            bag.make.odometry(round(s * 1e9), T) for s, T in zip(STAMPS[shown], DRONE.T_world_drone[shown], strict=True)
+        ]
+        each = [bag.make.make(POSE_STAMPED, one.header, one.pose.pose) for one in each]
+        message = bag.make.make(PATH, bag.make.header(round(STAMPS[end - 1] * 1e9), "map"), each)
+        bag.rows.append(("/path", PATH, float(STAMPS[end - 1]), message))
+    flight = read_flight(bag.write())
+    np.testing.assert_allclose(flight.prior.T_world_drone, DRONE.T_world_drone, atol=1e-9)
+    assert flight.skipped == {}

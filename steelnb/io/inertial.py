@@ -1,0 +1,43 @@
+"""Inertial samples of a recording: which are of use, and in which unit they are."""
+
+from collections import Counter
+
+import numpy as np
+
+from steelnb.core.types import GRAVITY, Array
+from steelnb.io.clocks import rising_stamps
+
+READING_MAX = 1e4
+"""No sensor of a drone gives larger numbers, in any unit."""
+GRAVITIES = 0.7, 1.3
+"""Bounds of the median acceleration of a drone that hovers, in multiples of gravity."""
+RATE_MAX = 20.0
+"""Maximum median angular rate of a drone, rad/s: twenty degrees a second are usual, twenty radians are not."""
+SAMPLES_MIN = 100
+"""Fewer samples, as of a second, tell nothing of what is usual."""
+
+
+def usable_samples(rows: Array, topic: str, notes: dict[str, None], skipped: Counter[str]) -> Array:
+    """Samples ``(M, 7)`` with rising stamps, in m/s² and rad/s, of ``rows (N, 7)``: stamp, acceleration, angular rate.
+
+    None remain if rates are in another unit; ``notes`` say so, and what is unusual. ``skipped`` counts single samples
+    that are left out.
+    """
+    whole = rows[(np.abs(rows[:, 1:]) < READING_MAX).all(axis=1) & np.isfinite(rows[:, 0])]
+    skipped["inertial sample that is not finite"] += len(rows) - len(whole)
+    rising = whole[rising_stamps(whole[:, 0])]
+    skipped["inertial sample whose stamp does not rise"] += len(whole) - len(rising)
+    if not len(rising):
+        return rising
+    size = float(np.linalg.norm(np.median(rising[:, 1:4], axis=0)))  # of the vector: vibration has no direction
+    rate = float(np.median(np.linalg.norm(rising[:, 4:], axis=1)))
+    unit = next((name for name, g in (("g", 1), ("mg", 1000)) if GRAVITIES[0] < size / g < GRAVITIES[1]), "")
+    if unit:
+        rising[:, 1:4] *= GRAVITY if unit == "g" else GRAVITY / 1000
+        notes[f"accelerations of {topic} are in {unit}, with a median of {size:.4g}"] = None
+    elif not GRAVITIES[0] < size / GRAVITY < GRAVITIES[1] and len(rising) >= SAMPLES_MIN:
+        notes[f"accelerations of {topic} have a median of {size:.4g}, those of a drone that hovers 9.8 m/s²"] = None
+    if rate > RATE_MAX and len(rising) >= SAMPLES_MIN:
+        notes[f"inertial readings of {topic} are left out: a median rate of {rate:.4g}; expected rad/s"] = None
+        return rising[:0]
+    return rising
