@@ -1,6 +1,7 @@
 """Reader of point files: NPY, PLY, PCD, LAS, LAZ and text. What it does not understand is refused, not guessed.
 Writer of PLY."""
 
+import re
 import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -22,7 +23,7 @@ from steelnb.hough.lines import spacing
 from steelnb.io.las import read_las
 from steelnb.io.pcd import read_pcd
 from steelnb.io.ply import read_ply
-from steelnb.io.text import read_table
+from steelnb.io.table_form import read_table
 
 EXTENT_MAX_M, SPACING_MAX_M = 500.0, 1.0
 """A cloud that exceeds both extent and spacing is probably in millimetres: no scanner is that sparse."""
@@ -31,15 +32,20 @@ STRAY_M, STRAY_DISTANCES, STRAY_SHARE = 1e4, 1000.0, 0.01
 such as zeros among the coordinates of a survey."""
 STEP_MAX_M, FAR_FROM_ZERO_M, ROUNDED_POINTS = 0.02, 1e4, 100
 """Largest step between coordinates; those below the second are left as they are, as are few points."""
+DEGREE_EXTENTS = 1000.0
+"""Coordinates in degrees extend so many times less than heights in metres, and a bar of steel does not."""
 LINES_COUNTED = 10
 """Minimum number of lines by which a first column in equal steps is recognised."""
 CHANNELS_MAX = 16
 """An array (3, N) has more columns than this, an array (N, 3 or more) at most as many."""
-AXIS = ("(?:pos|position|point|coord|coordinate|p|points_m_xyz|cartesian)_?{}", "{}_?(?:coord|coordinate|pos)")
+AXIS = (
+    r"(?:pos|position|points?|coords?|coordinates?|p|points_m_xyz|cartesian|local)_?{}",
+    r"{}_?(?:coord|coordinate|pos|local|\d)",
+)
 OTHER_AXES = {
-    "x": "e|east|easting|points_0",
-    "y": "n|north|northing|points_1",
-    "z": "elevation|height|altitude|points_2",
+    "x": "e|east|easting|ost|rechtswert|(?:points|points_m_xyz|coordinates)_0",
+    "y": "n|north|northing|nord|hochwert|(?:points|points_m_xyz|coordinates)_1",
+    "z": "u|up|h|elev|elevation|height|hoehe|höhe|alt|altitude|(?:points|points_m_xyz|coordinates)_2",
 }
 """Names of columns: of an axis, around its letter, and other words for it."""
 
@@ -85,6 +91,7 @@ def read_cloud(path: Path | str) -> Cloud:
                 f"{path}: a spacing of {spacing_m:.3g} over {extent_m:.4g} looks like millimetres; expected metres"
             )
     _check_steps(path, kept)
+    _check_degrees(path, kept)
     origin = shift_of(kept.mean(axis=0))
     shifted = translated(kept, -origin) if origin.any() else kept
     return Cloud(shifted, origin, len(points) - len(finite), len(finite) - len(distinct), len(distinct) - len(kept))
@@ -111,6 +118,15 @@ def _check_steps(path: Path | str, points: Array) -> None:
                 f"{path}: {name} is around {values.mean():.0f} in steps of {step:.3g} m, as of single precision; "
                 "expected doubles, or coordinates near zero"
             )
+
+
+def _check_degrees(path: Path | str, points: Array) -> None:
+    """Raise `InputError` if x and y can be degrees, and extend a thousand times less than z."""
+    extent = np.ptp(points, axis=0)
+    in_degrees = bool((np.abs(points[:, :2]) <= (180, 90)).all()) or bool((np.abs(points[:, :2]) <= (90, 180)).all())
+    if in_degrees and 0 < DEGREE_EXTENTS * extent[:2].max() < extent[2]:
+        spans = f"x and y extend over {extent[0]:.2g} and {extent[1]:.2g}, z over {extent[2]:.3g}"
+        raise InputError(f"{path}: {spans}, as with longitude and latitude in degrees; expected metres")
 
 
 @checks_arguments
@@ -196,7 +212,18 @@ def _read_text(path: Path) -> Any:
     points = table.values([k for k in number if k is not None])
     if is_unnamed and len(table.own) > 3:
         _check_first_column(points[:, 0])
+    if is_unnamed and table.separator == "," and len(table.own) >= 6 and len(table.own) % 2 == 0:
+        _check_commas(table.data.splitlines()[:LINES_COUNTED])
     return points
+
+
+def _check_commas(lines: list[bytes]) -> None:
+    """Raise ValueError if lines may have half as many numbers with decimal commas: all are whole numbers, and every
+    second one has as many digits as the others of these."""
+    cells = [[cell.strip() for cell in line.split(b",")] for line in lines]
+    is_whole = all(re.fullmatch(rb"-?\d+", cell) for line in cells for cell in line)
+    if is_whole and len(cells) > 1 and len({len(cell) for line in cells for cell in line[1::2]}) == 1:
+        raise ValueError("whole numbers between commas, which may be decimal ones; expected decimal points")
 
 
 READERS: Mapping[str, Callable[[Path], Any]] = {

@@ -14,7 +14,8 @@ from steelnb.core.checks import SAME_S
 from steelnb.core.errors import InputError
 from steelnb.core.files import new_file, reading
 from steelnb.core.types import Array, Trajectory
-from steelnb.io.text import Table, read_table
+from steelnb.io.table_form import read_table
+from steelnb.io.text import Table
 
 GAP_MAX_S = 0.5, 2.0
 """Bounds of the longest gap that is interpolated. A drone may turn and stop in a longer one."""
@@ -79,6 +80,9 @@ def _check_units(rows: Array, unit: str) -> None:
         return
     step_s, way_m = np.abs(np.diff(rows[:, 0])), np.linalg.norm(np.diff(rows[:, 1:4], axis=0), axis=1)
     typical_s = float(np.median(step_s))
+    if typical_s == 0 and np.median(way_m) > 0:
+        count = len(np.unique(rows[:, 0]))
+        raise ValueError(f"{len(rows)} poses have {count} stamps; expected one each, written with all their digits")
     if typical_s > STEP_MAX_S and not unit and not unit_of_stamps(rows[:, 0]):
         raise ValueError(
             f"stamps {typical_s:.4g} s apart; expected seconds, or their unit in the column's name (stamp_s, stamp_ns)"
@@ -106,7 +110,8 @@ def _tum(table: Table) -> Array:
         )
     rows = table.values(table.own)
     rows[:, 0] = _seconds(rows[:, 0], "")
-    return rows
+    w_first = any(table.said[k : k + 4] == ("qw", "qx", "qy", "qz") for k in range(len(table.said)))
+    return rows[:, [0, 1, 2, 3, 5, 6, 7, 4]] if w_first else rows
 
 
 def _kitti(path: Path, table: Table) -> Array:

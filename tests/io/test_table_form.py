@@ -1,0 +1,130 @@
+"""Text files as other programs write them: titles, units, names, comments, times."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from steelnb.core.errors import InputError
+from steelnb.io.clouds import read_cloud, read_points
+from steelnb.io.trajectories import read_trajectory
+
+EXPECTED = [[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]]
+NUMBERS = "1 2 3\n4 5 6\n"
+
+
+@pytest.mark.parametrize(
+    "head",
+    [
+        "My scan\n", "Survey 2023\n", "Survey of the tower, station 3\nx y z\n", "; made by a scanner\n",
+        "x y z\nm m m\n", "x y z\n[m] [m] [m]\n", "# position is x\n", "# columns x y z\n",
+        "# the fields are x, y, z\n",
+    ],
+)  # fmt: skip
+def test_titles_units_and_prose_before_the_numbers_are_no_points(tmp_path, head):
+    (tmp_path / "a.txt").write_text(head + NUMBERS)
+    np.testing.assert_array_equal(read_points(tmp_path / "a.txt"), EXPECTED)
+
+
+@pytest.mark.parametrize(
+    ("head", "message"),
+    [
+        ("x y z\nmm mm mm\n", "x, y and z in mm; expected metres"),
+        ("x y z\na b c\n", "line 2: 'a b c'; expected numbers"),
+        ("x y z i\n", "4 names of columns, but 3 fields in line 2"),
+        ("My tower scan\n", "columns my, tower, scan; expected x, y and z"),
+        ("# x y stamp\n", "columns x, y, stamp; expected x, y and z"),
+    ],
+)
+def test_other_units_and_columns_are_refused(tmp_path, head, message):
+    (tmp_path / "a.txt").write_text(head + NUMBERS)
+    with pytest.raises(InputError, match=message):
+        read_points(tmp_path / "a.txt")
+
+
+@pytest.mark.parametrize(
+    "names",
+    [
+        "E,N,H", "east,north,up", "x,y,elev", "X:3,Y:3,Z:3", "Points_m_XYZ:0,Points_m_XYZ:1,Points_m_XYZ:2",
+        "Coordinates:0,Coordinates:1,Coordinates:2", "points.x,points.y,points.z", "X1 (m),Y1 (m),Z1 (m)",
+        "x in m,y in m,z in m", "x_local,y_local,z_local", "Ost,Nord,Hoehe",
+    ],
+)  # fmt: skip
+def test_names_of_axes(tmp_path, names):
+    (tmp_path / "a.csv").write_text(f"id,{names}\n7,1,2,3\n8,4,5,6\n")
+    np.testing.assert_array_equal(read_points(tmp_path / "a.csv"), EXPECTED)
+    swapped = names.split(",")
+    (tmp_path / "b.csv").write_text(f"{swapped[1]},{swapped[0]},{swapped[2]}\n2,1,3\n5,4,6\n")
+    np.testing.assert_array_equal(read_points(tmp_path / "b.csv"), EXPECTED)
+
+
+@pytest.mark.parametrize("comment", ["# x right y down z forward", "# looks along x and y of the tower"])
+def test_words_of_a_sentence_are_no_names(tmp_path, comment):
+    (tmp_path / "a.txt").write_text(f"{comment}\n1 2 3 10 20 30\n4 5 6 10 20 30\n")
+    np.testing.assert_array_equal(read_points(tmp_path / "a.txt"), EXPECTED)
+    (tmp_path / "a.tum").write_text("# truth of drone x forward z up\n0 1 2 3 0 0 0 1\n1 4 5 6 0 0 0 1\n")
+    np.testing.assert_array_equal(read_trajectory(tmp_path / "a.tum").position, EXPECTED)
+
+
+@pytest.mark.parametrize("text", ["sep=;\n1;2;3\n4;5;6\n", "1.0D+00 2.0D0 3.0d0\n4.0D0 5.0D0 0.6D+01\n"])
+def test_spreadsheets_and_fortran(tmp_path, text):
+    (tmp_path / "a.txt").write_text(text)
+    np.testing.assert_array_equal(read_points(tmp_path / "a.txt"), EXPECTED)
+
+
+def test_lists_at_the_ends_of_lines_may_have_any_length(tmp_path):
+    head = "# 3D point list\n#   POINT3D_ID, X, Y, Z, R, G, B, ERROR, TRACK[] as (IMAGE_ID, POINT2D_IDX)\n"
+    (tmp_path / "a.txt").write_text(f"{head}9 1 2 3 0 0 0 0.5 1 2\n4 4 5 6 0 0 0 0.5 1 2 3 4 5 6\n8 7 8 9 0 0 0 .5\n")
+    np.testing.assert_array_equal(read_points(tmp_path / "a.txt"), [*EXPECTED, [7, 8, 9]])
+
+
+@pytest.mark.parametrize(
+    "times",
+    [
+        ("2023-11-14T22:13:20.25Z", "2023-11-14T22:13:20.35Z"), ("2023-11-14 22:13:20.25", "2023-11-14 22:13:20.35"),
+        ("2023-11-15T00:13:20.25+02:00", "2023-11-15T00:13:20.35+02:00"),
+    ],
+)  # fmt: skip
+@pytest.mark.parametrize("separator", [",", ";"])
+def test_times_are_stamps(tmp_path, times, separator):
+    rows = ["time,x,y,z,qx,qy,qz,qw", *(f"{time},1,2,3,0,0,0,1" for time in times)]
+    (tmp_path / "a.csv").write_text("\n".join(rows).replace(",", separator))
+    assert read_trajectory(tmp_path / "a.csv").stamp_s.tolist() == [1700000000.25, 1700000000.35]
+
+
+@pytest.mark.parametrize(
+    "comment",
+    [
+        "timestamp x y z qw qx qy qz",
+        "timestamp x y z qw qx qy qz (w first)",
+        "columns: t, px, py, pz, qw, qx, qy, qz, name",
+    ],
+)
+def test_a_comment_tells_that_w_is_first(tmp_path, comment):
+    turn = Rotation.from_euler("z", 50, degrees=True)
+    x, y, z, w = turn.as_quat()
+    (tmp_path / "a.tum").write_text(f"# {comment}\n0 1 2 3 {w} {x} {y} {z}\n1 1 2 3 {w} {x} {y} {z}\n")
+    np.testing.assert_allclose(
+        read_trajectory(tmp_path / "a.tum").T_world_drone[1, :3, :3], turn.as_matrix(), atol=1e-9
+    )
+
+
+@pytest.mark.parametrize("cast", [lambda stamp: f"{stamp:.9g}", lambda stamp: repr(float(np.float32(stamp)))])
+def test_stamps_without_all_their_digits_are_refused(tmp_path, cast):
+    rows = [f"{cast(1_700_000_000 + 0.1 * k)} {0.1 * k} 2 3 0 0 0 1\n" for k in range(50)]
+    (tmp_path / "a.tum").write_text("".join(rows))
+    with pytest.raises(InputError, match=r"50 poses have . stamps; expected one each, written with all their digits"):
+        read_trajectory(tmp_path / "a.tum")
+
+
+def test_degrees_and_decimal_commas_between_commas_are_refused(tmp_path):
+    points = np.random.default_rng(0).uniform(0, [5, 5, 20], (200, 3))
+    degrees = points / [74_300, 110_540, 1] + [11.5, 48.1, 500]
+    np.savetxt(tmp_path / "a.xyz", degrees, fmt="%.9f")
+    with pytest.raises(InputError, match="longitude and latitude in degrees; expected metres"):
+        read_cloud(tmp_path / "a.xyz")
+    text = "\n".join(f"{x:.2f},{y:.2f},{z:.2f}".replace(".", ",") for x, y, z in points)
+    (tmp_path / "b.csv").write_text(text)
+    with pytest.raises(InputError, match="whole numbers between commas, which may be decimal ones"):
+        read_cloud(tmp_path / "b.csv")
+    np.savetxt(tmp_path / "c.xyz", points * [0, 0, 1] + [1, 2, 0])
+    assert len(read_cloud(tmp_path / "c.xyz")) == 200
