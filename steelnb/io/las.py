@@ -1,5 +1,6 @@
 """Reader of LAS files, and of LAZ files by lazrs, whose sizes are checked first (ASPRS LAS 1.0 to 1.4, LASzip 3.4)."""
 
+import functools
 import io
 import itertools
 import re
@@ -24,9 +25,10 @@ LASZIP, VARIABLE, CHUNKED, LAYERED = (b"laszip encoded", 22204), 0xFFFFFFFF, 2, 
 SIZES = {6: 20, 7: 8, 8: 6, 9: 29, 10: 30, 11: 6, 12: 8, 13: 29}
 LAYERS = {10: 9, 11: 1, 12: 2, 13: 1}
 """Size in bytes, and number of layers, of each type of item; extra bytes have any size, and a layer each."""
-FEET, UNIT_KEYS = {9002: "feet", 9003: "US survey feet"}, (3076, 4099)
-"""Units that are not the metre, and GeoTIFF's keys of the horizontal and the vertical one."""
-LENGTH = re.compile(r'(?<!ANGLE)(?<!SCALE)UNIT\["([^"]+)", *([0-9.eE+-]+)')
+FEET, UNIT_KEYS = {9002: "feet", 9003: "US survey feet"}, {3076: 3072, 4099: 4096}
+"""Units that are not the metre; GeoTIFF's keys of the horizontal and the vertical one, each with that of the system's
+code, by which `feet.txt` tells the unit if it is not given."""
+LENGTH = re.compile(r'(?<!ANGLE)(?<!SCALE)UNIT\[\s*"([^"]+)"\s*,\s*([0-9.eE+-]+)')
 GEOGRAPHIC, PROJECTED = re.compile("GEOGC|GEOGRAPHICCRS|GEODCRS|GEODETICCRS"), re.compile("PROJC|PROJECTEDCRS")
 ANGLE = re.compile("deg|rad|grad|gon", re.IGNORECASE)
 """Units in a well-known text, its names of systems in degrees and in lengths, and names of units of angles."""
@@ -83,8 +85,10 @@ def _check_metres(file: bytes, at: int, end: int, count: int) -> None:
         if author == b"LASF_Projection" and number == 34735:
             entries = struct.iter_unpack("<4H", content[8 : 8 + (max(len(content), 8) - 8) // 8 * 8])
             keys = {key: value for key, place, _, value in entries if not place}
+            codes = [keys[code] for key, code in UNIT_KEYS.items() if key not in keys and keys.get(code) in _in_feet()]
             feet = [FEET[keys[key]] for key in UNIT_KEYS if keys.get(key) in FEET]
-            unit = "degrees" if keys.get(1024) == 2 else "".join(feet[:1])
+            feet += [f"another unit than the metre (EPSG {code})" for code in codes]
+            unit = {2: "degrees", 3: "geocentric axes"}.get(keys.get(1024, 0), "".join(feet[:1]))
         elif author == b"LASF_Projection" and number == 2112:
             text = content.decode("utf-8", "replace")
             lengths = [(name, float(size)) for name, size in LENGTH.findall(text) if not ANGLE.match(name)]
@@ -92,6 +96,14 @@ def _check_metres(file: bytes, at: int, end: int, count: int) -> None:
             unit = "degrees" if GEOGRAPHIC.search(text) and not PROJECTED.search(text) else unit
         if unit:
             raise ValueError(f"coordinates in {unit}, as its coordinate system says; expected metres")
+
+
+@functools.cache
+def _in_feet() -> frozenset[int]:
+    """Codes of coordinate systems whose unit is not the metre."""
+    lines = Path(__file__).with_name("feet.txt").read_text(encoding="ascii").splitlines()
+    ranges = [word.partition("-") for line in lines if not line.startswith("#") for word in line.split()]
+    return frozenset(code for low, _, high in ranges for code in range(int(low), int(high or low) + 1))
 
 
 def _unpack(file: bytes, at: int, begin: int, records: int, stride: int, count: int) -> memoryview:

@@ -1,5 +1,6 @@
 """Reader of the vertices of PLY files, after Greg Turk's description of the format."""
 
+import codecs
 import re
 from pathlib import Path
 
@@ -7,7 +8,7 @@ import numpy as np
 
 from steelnb.core.types import Array
 from steelnb.io.encodings import plain_nan
-from steelnb.io.records import HEADER_MAX, is_whole, xyz_of
+from steelnb.io.records import HEADER_MAX, is_whole, walked, xyz_of
 from steelnb.io.text import Table
 
 TYPES = {
@@ -15,6 +16,9 @@ TYPES = {
     "double": "f8", "int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2", "int32": "i4", "uint32": "u4",
     "int64": "i8", "uint64": "u8", "float32": "f4", "float64": "f8",
 }  # fmt: skip
+Element = tuple[str, int, list[list[str]]]
+Type = str | tuple[str, str]
+"""Name, count and properties of an element, in words; type of a property, as `_type` gives it."""
 ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
 
 
@@ -24,46 +28,78 @@ def read_ply(path: Path) -> Array:
     end = re.search(rb"^end_header[ \t]*(\r\n|\r|\n)", file[:HEADER_MAX], re.MULTILINE) or re.search(
         rb"\rend_header[ \t]*(\r)", file[:HEADER_MAX]
     )
-    if not file.startswith(b"ply") or end is None:
+    if not file.startswith((b"ply", codecs.BOM_UTF8 + b"ply")) or end is None:
         raise ValueError("no header; expected lines from ply to end_header")
     lines = [line.decode("ascii", "replace").split() for line in file[: end.end()].splitlines()]
     encoding = next((line[1] for line in lines if line[:1] == ["format"] and len(line) > 1), "none")
     if encoding not in ORDERS:
         raise ValueError(f"format {encoding[:40]}; expected one of {', '.join(ORDERS)}")
-    order, data, before = ORDERS[encoding], memoryview(file)[end.end() :], 0
+    order, data = ORDERS[encoding], memoryview(file)[end.end() :]
     elements = _elements(lines)
-    for name, count, properties in elements:
-        if name == "vertex":
-            break
-        if order:
-            before += count * sum(np.dtype(_type(words)).itemsize for words in properties)
-        else:
-            before += count
-    else:
+    number = next((k for k, (name, *_) in enumerate(elements) if name == "vertex"), None)
+    if number is None:
         raise ValueError("no element vertex in its header")
-    names = [words[-1].lower() for words in properties]
-    types = [order + _type(words) for words in properties]
+    _, count, properties = elements[number]
+    names = ["_".join(words[3 if words[0] == "list" else 1 :]).lower() for words in properties]
     if any(names.count(axis) != 1 for axis in "xyz"):
         raise ValueError(f"a vertex has {', '.join(names)[:80] or 'no properties'}; expected x, y and z once each")
-    number, is_last = [names.index(axis) for axis in "xyz"], elements[-1][0] == "vertex"
+    axes, is_last = [names.index(axis) for axis in "xyz"], number == len(elements) - 1
+    types = [_type(words) for words in properties]
+    if any(not isinstance(types[k], str) for k in axes):
+        raise ValueError("x, y and z of its vertices are lists; expected a number each")
     if order:
-        sizes = [np.dtype(each).itemsize for each in types]
-        after = bytes(data[before + count * sum(sizes) :][: sum(sizes)])
-        if is_last and after.strip():
-            raise ValueError(f"more bytes than those of {count} vertices of {sum(sizes)} bytes, as its header says")
-        return xyz_of(data[min(before, len(data)) :], count, sum(sizes), [(types[k], sum(sizes[:k])) for k in number])
+        begin = _end_of(data, order, elements[:number])
+        return _from_bytes(data, begin, count, order, types, axes, is_last)
+    before = sum(count for _, count, _ in elements[:number])
     text = plain_nan(bytes(data))
-    if before:
-        text = b"".join(text.splitlines(keepends=True)[before:])
-    points = Table(text, len(names), first=len(lines) + before + 1).values(number, None if is_last else count)
+    text = b"".join(text.splitlines(keepends=True)[before:]) if before else text
+    fixed = next((k for k, each in enumerate(types) if not isinstance(each, str)), len(types))
+    if fixed < len(types):
+        if max(axes) > fixed:
+            raise ValueError("x, y and z of its vertices follow a list; expected them before")
+        text = re.sub(rb"^((?:\s*\S+){%d}).*$" % fixed, rb"\1", text, flags=re.MULTILINE)
+    points = Table(text, fixed, first=len(lines) + before + 1).values(axes, None if is_last else count)
     if len(points) != count:
         raise ValueError(f"{len(points)} vertices; its header says {count}")
     return points
 
 
-def _elements(lines: list[list[str]]) -> list[tuple[str, int, list[list[str]]]]:
+def _end_of(data: memoryview, order: str, elements: list[Element]) -> int:
+    """Where some elements end that are the first in the data."""
+    end = 0
+    for _, count, properties in elements if len(data) else ():
+        types = [_type(words) for words in properties]
+        if all(isinstance(each, str) for each in types):
+            end += count * sum(np.dtype(each).itemsize for each in types)
+        elif count:
+            end = walked(data, end, count, order, types)[1]
+    return end
+
+
+def _from_bytes(
+    data: memoryview, begin: int, count: int, order: str, types: list[Type], axes: list[int], is_last: bool
+) -> Array:
+    """Vertices ``(N, 3)`` of a binary file, from byte ``begin`` on; ``axes``: numbers of the properties x, y and z."""
+    plain = [order + each for each in types if isinstance(each, str)]
+    sizes = [np.dtype(each).itemsize for each in plain]
+    if len(plain) == len(types):
+        end = begin + count * sum(sizes)
+        points = [(plain[k], sum(sizes[:k])) for k in axes]
+        found = xyz_of(data[min(begin, len(data)) :], count, sum(sizes), points)
+    else:
+        at, end = walked(data, min(begin, len(data)), count, order, types)
+        bytes_of, found = np.frombuffer(data, np.uint8), np.empty((count, 3))
+        for axis, k in enumerate(axes):
+            kind = np.dtype(f"{order}{types[k]}")
+            found[:, axis] = bytes_of[at[:, k, None] + np.arange(kind.itemsize)].view(kind)[:, 0]
+    if is_last and bytes(data[end:][: sum(sizes)]).strip():
+        raise ValueError(f"more bytes than those of {count} vertices of {sum(sizes)} bytes, as its header says")
+    return found
+
+
+def _elements(lines: list[list[str]]) -> list[Element]:
     """Name, count and properties of each element."""
-    elements: list[tuple[str, int, list[list[str]]]] = []
+    elements: list[Element] = []
     for line in lines:
         if line[:1] == ["element"]:
             if len(line) != 3 or not is_whole(line[2]):
@@ -76,8 +112,9 @@ def _elements(lines: list[list[str]]) -> list[tuple[str, int, list[list[str]]]]:
     return elements
 
 
-def _type(words: list[str]) -> str:
-    """NumPy's type of a property. Lists, whose length differs, are read in no element up to the vertices."""
-    if len(words) != 2 or words[0] not in TYPES:
-        raise ValueError(f"property {' '.join(words)[:60]!r} at or before its vertices; expected one number")
-    return TYPES[words[0]]
+def _type(words: list[str]) -> Type:
+    """NumPy's type of a property, or those of a list's length and of its items."""
+    kinds = words[1:3] if words[0] == "list" else words[:1]
+    if not all(kind in TYPES for kind in kinds) or len(words) <= (3 if words[0] == "list" else 1):
+        raise ValueError(f"property {' '.join(words)[:60]!r}; expected one of {', '.join(TYPES)[:80]}, and a name")
+    return TYPES[kinds[0]] if len(kinds) == 1 else (TYPES[kinds[0]], TYPES[kinds[1]])

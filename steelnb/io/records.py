@@ -1,10 +1,11 @@
 """Binary records of points, whose size is checked against the file before anything is allocated."""
 
+import struct
 from collections.abc import Sequence
 
 import numpy as np
 
-from steelnb.core.types import Array
+from steelnb.core.types import Array, IntArray
 
 HEADER_MAX = 1 << 16
 """No text header is longer."""
@@ -29,3 +30,33 @@ def xyz_of(data: bytes | memoryview, count: int, stride: int, fields: Sequence[t
     for k, axis in enumerate("xyz"):
         points[:, k] = table[axis]
     return points
+
+
+def walked(
+    data: memoryview, at: int, count: int, order: str, types: Sequence[str | tuple[str, str]]
+) -> tuple[IntArray, int]:
+    """Where each field of records with lists begins ``(count, F)``, and where the records end.
+
+    The records begin at ``at``. ``order``: of bytes; ``types``: of each field as of NumPy, or those of a list's length
+    and of its items. Raises ValueError if the data are too short.
+    """
+    if count > len(data) - at:  # each record has a byte or more
+        raise ValueError(f"{len(data) - at} bytes; expected {count} records with lists, as its header says")
+    begin = np.empty((count, len(types)), dtype=np.int64)
+    sizes = [(None, np.dtype(each).itemsize) if isinstance(each, str) else _list_of(order, *each) for each in types]
+    for record in range(count):
+        for field, (length, size) in enumerate(sizes):
+            begin[record, field] = at
+            if length is None:
+                at += size
+            elif at + length.size <= len(data):
+                items = length.unpack_from(data, at)[0]
+                at += length.size + max(int(items), 0) * size
+            if at > len(data) or (length is not None and at == begin[record, field]):
+                raise ValueError(f"{len(data)} bytes end in record {record}; expected {count}, as its header says")
+    return begin, at
+
+
+def _list_of(order: str, length: str, item: str) -> tuple[struct.Struct, int]:
+    """Reader of a list's length, and the size of an item."""
+    return struct.Struct(order + np.dtype(length).char), np.dtype(item).itemsize

@@ -109,3 +109,38 @@ def test_sizes_of_compressed_layers_are_checked(more: int, tmp_path: Path) -> No
     path.write_bytes(content)
     with pytest.raises(InputError, match=r"a.laz: not a LAZ file of points: its compressed points are damaged"):
         read_points(path)
+
+
+@pytest.mark.parametrize(
+    ("keys", "what"),
+    [
+        ({1024: 1, 3072: 2277}, "another unit than the metre .EPSG 2277."),
+        ({1024: 1, 3072: 3361, 3076: 9002}, "feet"),
+        ({1024: 1, 3072: 32632, 4096: 6360}, "another unit than the metre .EPSG 6360."),
+        ({1024: 1, 3072: 6966}, "another unit than the metre .EPSG 6966."),
+        ({1024: 3, 2048: 4978}, "geocentric axes"),
+        ({1024: 1, 3072: 32632, 4096: 5783}, ""),
+        ({1024: 1, 3072: 2277, 3076: 9001}, ""),
+    ],
+)
+def test_codes_of_coordinate_systems_tell_the_unit(tmp_path: Path, keys: dict[int, int], what: str) -> None:
+    entries = [1, 1, 0, len(keys), *(number for key, value in keys.items() for number in (key, 0, 1, value))]
+    file = laspy.create(point_format=6, file_version="1.4")
+    file.vlrs.append(laspy.VLR("LASF_Projection", 34735, "", struct.pack(f"<{len(entries)}H", *entries)))
+    file.x, file.y, file.z = POINTS[:9].T
+    file.write(str(tmp_path / "a.las"))
+    if not what:
+        assert len(read_points(tmp_path / "a.las")) == 9
+        return
+    with pytest.raises(InputError, match=f"coordinates in {what}, as its coordinate system says; expected metres"):
+        read_points(tmp_path / "a.las")
+
+
+def test_a_well_known_text_may_have_blanks(tmp_path: Path) -> None:
+    text = 'PROJCS["a",GEOGCS["b",UNIT[ "degree" , 0.0174532925 ]],UNIT[ "US survey foot" ,0.3048006096]]'
+    file = laspy.create(point_format=6, file_version="1.4")
+    file.vlrs.append(laspy.VLR("LASF_Projection", 2112, "", text.encode()))
+    file.x, file.y, file.z = POINTS[:9].T
+    file.write(str(tmp_path / "a.las"))
+    with pytest.raises(InputError, match="coordinates in US survey foot"):
+        read_points(tmp_path / "a.las")

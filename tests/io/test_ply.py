@@ -12,6 +12,7 @@ POINTS = np.arange(15.0).reshape(5, 3)
 LINES = "\n".join(f"{x:g} {y:g} {z:g}" for x, y, z in POINTS).encode()
 AXES = "property float x\nproperty float y\nproperty float z\n"
 FACE = "element face 1\nproperty list uchar int vertex_indices\n"
+VIEWS = "property list uchar ushort views\n"
 CAMERA = "element camera 2\nproperty double focus\nproperty uchar kind\n"
 
 
@@ -24,6 +25,19 @@ def header(
 
 def records(order: str = "<", kind: str = "f4") -> bytes:
     return POINTS.astype(f"{order}{kind}").tobytes()
+
+
+def viewed(first: bool = False) -> bytes:
+    """Records with lists of one item, two, …, after or before x, y and z."""
+    views = [bytes([k + 1]) + np.arange(k + 1, dtype="<u2").tobytes() for k in range(5)]
+    points = [point.astype("<f4").tobytes() for point in POINTS]
+    return b"".join(view + point if first else point + view for point, view in zip(points, views, strict=True))
+
+
+def records_of(kind: str, more: str) -> bytes:
+    table = np.zeros(5, [("xyz", f"<{kind}", 3), ("more", more)])
+    table["xyz"] = POINTS
+    return table.tobytes()
 
 
 COLOURED = np.zeros(5, [("y", "<f8"), ("r", "u1"), ("z", "<i2"), ("x", "<f4")])
@@ -51,6 +65,14 @@ def test_missing_numbers_in_the_spelling_of_windows_are_nan(tmp_path: Path) -> N
         header("ascii") + LINES + b"\n\n",
         header("ascii", before=CAMERA, after=FACE) + b"1 2\n3 4\n" + LINES + b"\n3 0 1 2\n",
         header("ascii").replace(b"\n", b"\r") + LINES.replace(b"\n", b"\r"),
+        b"\xef\xbb\xbf" + header("ascii") + LINES,
+        header(before=FACE) + b"\x03" + bytes(12) + records(),
+        header(before=FACE.replace(" 1", " 0")) + records(),
+        header("binary_big_endian", before=FACE) + b"\x02" + bytes(8) + records(">"),
+        header(axes=AXES + VIEWS) + viewed(),
+        header(axes=VIEWS + AXES, after=FACE) + viewed(first=True) + b"\x03" + bytes(12),
+        header("ascii", axes=AXES + VIEWS) + b"\n".join(line + b" 2 7 8" for line in LINES.splitlines()),
+        header(axes=AXES + "property uchar gps time\n") + records_of("f4", "u1"),
     ],
 )
 def test_vertices_are_found_among_other_elements(content: bytes, tmp_path: Path) -> None:
@@ -69,7 +91,13 @@ def test_vertices_are_found_among_other_elements(content: bytes, tmp_path: Path)
         (header("ascii", count="4") + LINES, "5 vertices; its header says 4"),
         (header(count="0"), "expected 0 of 12 bytes"),
         (header(count="-5") + records(), "'element vertex -5' in its header; expected"),
-        (header(before=FACE) + records(), "property 'list uchar int vertex_indices' at or before its vertices"),
+        (header(before=FACE) + b"\x03" + bytes(12) + records()[:-1], "59 bytes of points; expected 5 of 12 bytes each"),
+        (header(before=FACE) + b"\xff" + bytes(12), "13 bytes end in record 0; expected 1"),
+        (header(before=FACE.replace(" 1", " 99999999999999")) + records(), "60 bytes; expected 99999999999999 records"),
+        (header(axes=AXES + VIEWS) + viewed()[:-1], "94 bytes end in record 4; expected 5"),
+        (header(axes=AXES + VIEWS, count="4") + viewed(), "more bytes than those of 4 vertices"),
+        (header(axes="property list uchar float x\n" + AXES[17:]) + records(), "x, y and z of its vertices are lists"),
+        (header(axes=AXES.replace("float y", "list half int y")) + records(), "property 'list half int y'"),
         (header(axes=AXES.replace("float y", "half y")) + records(), "property 'half y'"),
         (header(axes=AXES.replace(" y", " x")) + records(), "a vertex has x, x, z; expected x, y and z once each"),
         (header("utf8") + LINES, "format utf8; expected one of ascii"),
