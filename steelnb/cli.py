@@ -124,24 +124,24 @@ def run(
     Writes corrected poses, bars, structure, a table and figures to a new or empty folder.
     """
     with progress() as (on_stage, on_share):
-        from steelnb.io import read_flight, read_trajectory, read_truth
+        from steelnb.io import read_flight, read_trajectory
         from steelnb.odometry import load_odometry
+        from steelnb.recording.evaluate import truth_of
         from steelnb.recording.run import run_recording
         from steelnb.recording.settings import Scene, parse_mount, recording_settings, settings_line, voxel_warning
         from steelnb.recording.summary import opened_lines
 
-        options: dict[str, Any] = {"range_max_m": range_max, "overrides": _overrides(changed)}
-        options["overrides"] |= {"smooth": True} if smooth else {}
         own = load_odometry(odometry) if ":" in odometry else None
-        options["method"] = odometry if own is None else "best"  # the reconstruction uses its preprocessing
+        options: dict[str, Any] = {"overrides": _overrides(changed) | ({"smooth": True} if smooth else {})}
+        options |= {"range_max_m": range_max, "method": odometry if own is None else "best"}  # preprocessing of `best`
         recording_settings(**options)  # raises for bad options before a file is opened
         target = output or Path(f"{recording.resolve().stem}_run")
-        check_folder(target, force)
+        check_folder(target, force, recording)
         other = (display_name(estimate), read_trajectory(estimate)) if estimate else None
         on_stage(f"opening {recording.name}")
         clocks: dict[str, Any] = {"clock": clock, "time_offset_s": time_offset}
         flight = read_flight(recording, scans=scans, poses=poses, T_drone_sensor=parse_mount(mount), **clocks)
-        true, scene = read_truth(recording, truth=truth), Scene.of(flight)
+        true, scene = truth_of(flight, recording, truth), Scene.of(flight)
         settings, structure = recording_settings(scene=scene, **options)
         say("\n".join((*opened_lines(flight), settings_line(settings))))
         report = run_recording(flight, target, settings, structure, true, on_share, on_stage, own=own, other=other)

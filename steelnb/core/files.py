@@ -42,8 +42,10 @@ def display_name(path: Path | str) -> str:
     return "".join("\N{REPLACEMENT CHARACTER}" if unicodedata.category(c) in ("Cc", "Cs") else c for c in name)
 
 
-def check_folder(target: Path, overwrite: bool) -> None:
-    """Raise `OutputError` if a folder is not empty, unless it may be overwritten."""
+def check_folder(target: Path, overwrite: bool, source: Path | None = None) -> None:
+    """Raise `OutputError` if a folder is not empty, unless it may be overwritten, and if it is the ``source``."""
+    if source is not None and os.path.realpath(target) == os.path.realpath(source):
+        raise OutputError(f"{target}: is what is read; expected another folder")
     if not overwrite and os.path.exists(target) and (not target.is_dir() or any(target.iterdir())):
         raise OutputError(f"{target}: exists already; expected a new folder, or --force to overwrite")
 

@@ -1,6 +1,7 @@
 """Reader of point files: NPY, PLY, PCD, LAS, LAZ and text. What it does not understand is refused, not guessed.
 Writer of PLY."""
 
+import os
 import re
 import warnings
 from collections.abc import Callable, Mapping
@@ -10,7 +11,6 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
 from steelnb.core.arguments import checks_arguments
 from steelnb.core.arrays import COORDINATE_MAX_M
@@ -20,6 +20,8 @@ from steelnb.core.files import new_file, reading
 from steelnb.core.geometry import shift_of, translated
 from steelnb.core.types import Array, IntArray
 from steelnb.hough.lines import spacing
+from steelnb.io.coordinates import check_degrees, check_steps, is_stray
+from steelnb.io.encodings import foreign
 from steelnb.io.las import read_las
 from steelnb.io.pcd import read_pcd
 from steelnb.io.ply import read_ply
@@ -27,13 +29,6 @@ from steelnb.io.table_form import read_table
 
 EXTENT_MAX_M, SPACING_MAX_M = 500.0, 1.0
 """A cloud that exceeds both extent and spacing is probably in millimetres: no scanner is that sparse."""
-STRAY_M, STRAY_DISTANCES, STRAY_SHARE = 1e4, 1000.0, 0.01
-"""Points farther than both from the median point, in metres and in median distances, are strays if they are so few:
-such as zeros among the coordinates of a survey."""
-STEP_MAX_M, FAR_FROM_ZERO_M, ROUNDED_POINTS = 0.02, 1e4, 100
-"""Largest step between coordinates; those below the second are left as they are, as are few points."""
-DEGREE_EXTENTS = 1000.0
-"""Coordinates in degrees extend so many times less than heights in metres, and a bar of steel does not."""
 LINES_COUNTED = 10
 """Minimum number of lines by which a first column in equal steps is recognised."""
 CHANNELS_MAX = 16
@@ -82,7 +77,7 @@ def read_cloud(path: Path | str) -> Cloud:
     distinct = finite[~pd.DataFrame(finite).duplicated().to_numpy()]
     if len(distinct) < 2:
         raise InputError(f"{path}: {len(distinct)} distinct finite points of {len(points)}; expected at least two")
-    kept = distinct[~_strays(distinct)]
+    kept = distinct[~is_stray(distinct)]
     extent_m = float(np.ptp(kept, axis=0).max())
     if extent_m > EXTENT_MAX_M:
         spacing_m = spacing(kept)
@@ -90,43 +85,11 @@ def read_cloud(path: Path | str) -> Cloud:
             raise InputError(
                 f"{path}: a spacing of {spacing_m:.3g} over {extent_m:.4g} looks like millimetres; expected metres"
             )
-    _check_steps(path, kept)
-    _check_degrees(path, kept)
+    check_steps(path, kept)
+    check_degrees(path, kept)
     origin = shift_of(kept.mean(axis=0))
     shifted = translated(kept, -origin) if origin.any() else kept
     return Cloud(shifted, origin, len(points) - len(finite), len(finite) - len(distinct), len(distinct) - len(kept))
-
-
-def _strays(points: Array) -> NDArray[np.bool_]:
-    """Mask ``(N,)`` of the strays (`STRAY_M`) among points ``(N, 3)``."""
-    distance_m = np.linalg.norm(points - np.median(points, axis=0), axis=1)
-    is_far = distance_m > max(STRAY_M, STRAY_DISTANCES * float(np.median(distance_m)))
-    return is_far & (np.count_nonzero(is_far) <= STRAY_SHARE * len(points))
-
-
-def _check_steps(path: Path | str, points: Array) -> None:
-    """Raise `InputError` if large coordinates are multiples of some centimetres: they were stored in single precision,
-    or with too few digits."""
-    for name, values in zip("xyz", points.T, strict=True):
-        if len(points) < ROUNDED_POINTS or not np.abs(values).max() > FAR_FROM_ZERO_M:
-            continue
-        different = np.unique(values)
-        step = float(np.diff(different).min(initial=np.inf))
-        steps = (different - different[0]) / step
-        if step > STEP_MAX_M and np.abs(steps - np.round(steps)).max() < 0.01:
-            raise InputError(
-                f"{path}: {name} is around {values.mean():.0f} in steps of {step:.3g} m, as of single precision; "
-                "expected doubles, or coordinates near zero"
-            )
-
-
-def _check_degrees(path: Path | str, points: Array) -> None:
-    """Raise `InputError` if x and y can be degrees, and extend a thousand times less than z."""
-    extent = np.ptp(points, axis=0)
-    in_degrees = bool((np.abs(points[:, :2]) <= (180, 90)).all()) or bool((np.abs(points[:, :2]) <= (90, 180)).all())
-    if in_degrees and 0 < DEGREE_EXTENTS * extent[:2].max() < extent[2]:
-        spans = f"x and y extend over {extent[0]:.2g} and {extent[1]:.2g}, z over {extent[2]:.3g}"
-        raise InputError(f"{path}: {spans}, as with longitude and latitude in degrees; expected metres")
 
 
 @checks_arguments
@@ -138,10 +101,15 @@ def read_points(path: Path | str) -> Array:
     """
     path = Path(path)
     read = READERS.get(path.suffix.lower())
+    if os.path.isdir(path):
+        raise InputError(f"{path}: a folder; expected a file of points (`steelnb run` takes a folder of scans)")
     if read is None:
         raise InputError(f"{path}: ending {path.suffix!r}; expected one of {', '.join(READERS)}")
     with reading(path, f"a {path.suffix[1:].upper()} file of points"), warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of NumPy, about files of Python 2
+        with path.open("rb") as file:
+            if what := foreign(file.read(32)):
+                raise ValueError(what)
         points = np.array(read(path), dtype=np.float64)
         if not points.size:
             raise ValueError("no points")

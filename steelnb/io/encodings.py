@@ -6,6 +6,19 @@ import re
 MARKS = {codecs.BOM_UTF8: "utf-8", codecs.BOM_UTF16_LE: "utf-16-le", codecs.BOM_UTF16_BE: "utf-16-be"}
 WINDOWS_NAN = re.compile(rb"-?1\.#(?:IND|QNAN|SNAN|INF)\d*")
 GZIP = b"\x1f\x8b"
+FOREIGN = {
+    GZIP: "compressed by gzip; expected plain text, or plain binary data (gunzip)",
+    b"version https://git-lfs": "a pointer of git LFS; expected the file itself (git lfs pull)",
+    b"<!doctype": "a web page; expected the file itself",
+    b"<html": "a web page; expected the file itself",
+    b"<?xml": "XML; expected another form",
+}
+"""Beginnings of files that are something else than their name says, in lower case, and what they are."""
+
+
+def foreign(begin: bytes) -> str:
+    """What a file that begins with these bytes is, if that is never a recording or a cloud, else ""."""
+    return next((what for start, what in FOREIGN.items() if begin.lstrip().lower().startswith(start)), "")
 
 
 def plain_nan(data: bytes) -> bytes:
@@ -22,8 +35,8 @@ def decoded(data: bytes) -> bytes:
     for first, encoding in ((1, "utf-16-le"), (0, "utf-16-be")):  # of digits, every other byte is zero
         if len(data) > 1 and not data[first:64:2].strip(b"\0"):
             return data.decode(encoding, "replace").encode()
-    if data.startswith(GZIP):
-        raise ValueError("compressed by gzip; expected plain text (gunzip)")
+    if what := foreign(data[:32]):
+        raise ValueError(what)
     if (at := data.find(b"\0")) >= 0:
         raise ValueError(f"byte {at} is zero; expected plain text")
     return data

@@ -12,6 +12,7 @@ from steelnb.core.errors import InputError
 from steelnb.core.files import display_name
 from steelnb.core.types import Array, Trajectory
 from steelnb.io.clouds import READERS, read_points
+from steelnb.io.containers import is_bag
 from steelnb.io.opened import Opened, Walk
 from steelnb.io.trajectories import OUT_OF_ORDER, SECONDS, read_trajectory, unit_of_stamps
 
@@ -85,19 +86,35 @@ def _scans(folder: Path) -> tuple[list[Path], list[Path]]:
     no_tables = [file for file in files if file.suffix.lower() != ".csv"]
     if not no_tables and max(map(len, forms.values()), default=0) < 2:
         held = ", ".join(sorted({file.suffix or file.name for file in folder.glob("[!.]*")})[:8]) or "nothing"
-        raise InputError(f"{folder}: no clouds in it, but {held}; expected files with suffix {', '.join(suffixes)}")
+        inner = [
+            each for each in sorted(folder.glob("[!.]*/")) if any(f.suffix.lower() in suffixes for f in each.iterdir())
+        ]
+        remedy = f", or the name of a folder in it (--scans {inner[0].name})" if inner else ""
+        raise InputError(
+            f"{folder}: no clouds in it, but {held}; expected files with suffix {', '.join(suffixes)}{remedy}"
+        )
     chosen = max(forms.values(), key=len)
     others = [each for each in forms.values() if each is not chosen]
-    if len(chosen) == 1:  # the names have no numbers
+    if len(chosen) == 1:  # the names differ in more than numbers
         chosen, others = no_tables or files, []
+        if _by_number(chosen) != sorted(chosen) and not all("." in "".join(NUMBER.findall(f.stem)) for f in chosen):
+            raise InputError(
+                f"{folder}: clouds such as {chosen[0].name} and {chosen[1].name} have no order; expected names that "
+                "differ in numbers alone"
+            )
     for each in sorted(others, key=len, reverse=True):
         if len(each) > max(1, STRAY_SHARE * len(chosen)) or len(files) > 2 * len(chosen):
             raise InputError(
                 f"{folder}: {len(chosen)} clouds such as {chosen[0].name}, and {len(each)} such as {each[0].name}; "
                 "expected names that differ in numbers alone, or one kind a folder"
             )
-    scans = sorted(chosen, key=lambda file: ([float(number) for number in NUMBER.findall(file.stem)], file.stem))
+    scans = _by_number(chosen)
     return scans, sorted(set(files) - set(scans))
+
+
+def _by_number(files: Sequence[Path]) -> list[Path]:
+    """Files in the order of the numbers in their names."""
+    return sorted(files, key=lambda file: ([float(number) for number in NUMBER.findall(file.stem)], file.stem))
 
 
 def _trajectory_file(path: Path, poses: str | None, scans: Sequence[Path]) -> Path:
@@ -109,6 +126,11 @@ def _trajectory_file(path: Path, poses: str | None, scans: Sequence[Path]) -> Pa
     if len(found) > 1:  # notes and tables of other things are no trajectories
         found = [file for file in found if _is_trajectory(file)] or found
     if len(found) != 1:
+        bags = [file.name for file in sorted(path.glob("[!.]*")) if not file.is_dir() and is_bag(file)]
+        if bags and not found:
+            raise InputError(
+                f"{path}: clouds without a trajectory, and {', '.join(bags)}; expected one, or the bag itself"
+            )
         listed = ", ".join(file.name for file in found) or "no trajectory"
         raise InputError(f"{path}: {listed}; expected one TUM file (.tum, .txt, .csv), or the name of one (--poses)")
     return found[0]

@@ -12,6 +12,8 @@ from io import BytesIO
 from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
 
+from steelnb.io.encodings import foreign
+
 MCAP_MAGIC, BAG_MAGIC, SQLITE_MAGIC = b"\x89MCAP0\r\n", b"#ROSBAG V2.0\n", b"SQLite format 3\0"
 OnDamage = Callable[[str], None]
 
@@ -32,15 +34,22 @@ def scan(path: Path, on_damage: OnDamage) -> Iterator[Raw]:
     It yields nothing for a file of another format.
     """
     with path.open("rb") as file:
-        begin = file.read(16)
+        begin = file.read(32)
         found = [read for magic, read in _READERS.items() if begin.startswith(magic[:16])]
         if not found:
-            on_damage(f"begins with {begin[:12]!r}" if begin else "is empty")
+            what = foreign(begin)
+            on_damage(f"is {what}" if what else f"begins with {begin[:12]!r}" if begin else "is empty")
             return
         try:
             yield from found[0](file, on_damage)
         except Exception:  # of a size, a name or a text that is damaged, or of a library
             on_damage(f"is cut short or damaged at byte {file.tell()}")
+
+
+def has_magic(path: Path) -> bool:
+    """Whether a file begins as one of these formats."""
+    with path.open("rb") as file:
+        return file.read(16).startswith(tuple(magic[:16] for magic in _READERS))
 
 
 def _left(file: BinaryIO) -> int:

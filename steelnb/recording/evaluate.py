@@ -3,6 +3,7 @@
 import math
 import re
 from collections import Counter
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -12,6 +13,7 @@ from steelnb.core.errors import InputError
 from steelnb.core.estimates import Estimate
 from steelnb.core.types import Flight, Segments, Trajectory
 from steelnb.fusion.structure import Structure
+from steelnb.io import read_truth
 from steelnb.io.trajectories import interpolate
 from steelnb.metrics import score_trajectory
 
@@ -29,6 +31,16 @@ class References(NamedTuple):
     other: Trajectory | None
     name: str
     notes: tuple[str, ...]
+
+
+def truth_of(flight: Flight, recording: Path | str, name: str | None) -> Trajectory | None:
+    """The truth of a recording, as `read_truth` finds it. Raises `InputError` if the file that ``name`` gives has fewer
+    than two of the scans."""
+    truth = read_truth(recording, truth=name)
+    if name is not None and truth is not None and at_scans(flight.prior, truth, name)[0] is None:
+        spans = [f"{each.stamp_s[0]:.3f} to {each.stamp_s[-1]:.3f} s" for each in (truth, flight.prior)]
+        raise InputError(f"{name}: its poses at {spans[0]} match fewer than two scans, at {spans[1]}")
+    return truth
 
 
 def references(flight: Flight, truth: Trajectory | None, other: tuple[str, Trajectory] | None) -> References:

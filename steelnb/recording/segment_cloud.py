@@ -14,7 +14,8 @@ from steelnb.fusion.ridges import TUBE_M
 from steelnb.fusion.whole_cloud import CloudBars, bars_of_cloud, default_tube
 from steelnb.hough.lines import spacing
 from steelnb.hough.whole_structure.search import MIN_VOTES, within
-from steelnb.io.clouds import STRAY_M, Cloud, read_cloud
+from steelnb.io.clouds import Cloud, read_cloud
+from steelnb.io.coordinates import STRAY_M
 from steelnb.io.structures import write_segments
 from steelnb.plots.flight import figure_bars
 from steelnb.plots.scene3d import figure_cloud

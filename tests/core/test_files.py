@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from steelnb.core.errors import InputError, OutputError
-from steelnb.core.files import new_file, new_folder, reading
+from steelnb.core.files import check_folder, new_file, new_folder, reading
 
 
 def files_below(folder: Path) -> dict[str, str]:
@@ -120,3 +120,11 @@ def test_a_folder_is_no_file_and_a_device_is_written_to(tmp_path: Path) -> None:
         (tmp_path / "file").write_text("")
     with new_file(os.devnull) as file:
         assert file == Path(os.devnull)
+
+
+def test_a_folder_that_is_read_is_not_written_to(tmp_path: Path) -> None:
+    (tmp_path / "link").symlink_to(tmp_path, target_is_directory=True)
+    for target in (tmp_path, tmp_path / "link", tmp_path / "link" / ".." / tmp_path.name):
+        with pytest.raises(OutputError, match="is what is read; expected another folder"):
+            check_folder(target, True, tmp_path)
+    check_folder(tmp_path / "inner", True, tmp_path)

@@ -254,3 +254,10 @@ def test_a_few_points_kilometres_away_are_left_out_and_counted(tmp_path: Path) -
         assert cloud.strays == strays
         assert len(cloud) + cloud.duplicates + strays == len(points)
         assert np.ptp(cloud.points, axis=0).max() < 2e3
+
+
+def test_a_folder_is_no_file_of_points(tmp_path: Path) -> None:
+    for name in ("scans", "scans.ply"):
+        (tmp_path / name).mkdir()
+        with pytest.raises(InputError, match="a folder; expected a file of points"):
+            read_points(tmp_path / name)

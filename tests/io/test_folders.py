@@ -143,3 +143,28 @@ def test_folders_without_one_trajectory_or_clouds_are_refused(folder: Path) -> N
     (folder / "sub").mkdir()
     with pytest.raises(InputError, match=r"sub: no clouds in it"):
         read_flight(folder, scans="sub")
+
+
+def test_names_that_differ_in_words_have_no_order(tmp_path: Path) -> None:
+    for name in ("east2", "north1", "south0", "west5"):
+        np.save(tmp_path / f"{name}.npy", POINTS)
+    write_tum(tmp_path / "trajectory.tum", poses(4))
+    with pytest.raises(InputError, match=r"clouds such as east2.npy and north1.npy have no order; expected names"):
+        read_flight(tmp_path)
+    for old, new in (("east2", "east0"), ("south0", "south2")):
+        (tmp_path / f"{old}.npy").rename(tmp_path / f"{new}.npy")
+    assert len(read_flight(tmp_path)) == 4
+
+
+def test_what_a_folder_holds_instead_is_named(folder: Path) -> None:
+    (folder / "inner").mkdir()
+    for file in folder.glob("*.npy"):
+        file.rename(folder / "inner" / file.name)
+    with pytest.raises(InputError, match=r"no clouds in it, but .*\(--scans inner\)"):
+        read_flight(folder)
+    (folder / "trajectory.tum").unlink()
+    np.save(folder / "map1.npy", POINTS)
+    np.save(folder / "map2.npy", POINTS)
+    (folder / "a.db3").write_bytes(b"SQLite format 3\0")
+    with pytest.raises(InputError, match=r"clouds without a trajectory, and a.db3; expected one, or the bag itself"):
+        read_flight(folder)

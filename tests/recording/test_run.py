@@ -8,14 +8,16 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from steelnb import experiment
+from steelnb.core.errors import InputError
 from steelnb.core.lazy_open3d import import_open3d
 from steelnb.core.types import Flight, Scan, Trajectory
 from steelnb.io import read_flight, read_trajectory, write_flight, write_tum
 from steelnb.io.clouds import read_points
-from steelnb.recording.evaluate import TIMES, at_scans
+from steelnb.recording.evaluate import TIMES, at_scans, truth_of
 from steelnb.recording.run import FILES, run_recording
 from steelnb.recording.settings import recording_settings
 from steelnb.settings import ExperimentSettings
+from tests.io.samples import Bagged, poses
 
 
 @pytest.fixture(scope="module")
@@ -167,3 +169,16 @@ def test_another_program_is_judged_at_the_scans_of_ours_as_evo_judges_it(simulat
     assert found.numbers["frames_with_truth"] == 35
     assert any("theirs.tum covers 35 of 40 scans" in line for line in found.summary)
     assert any(line.split()[0] == "theirs.tum" for line in found.summary)
+
+
+def test_a_truth_of_another_time_is_refused_if_it_was_named(tmp_path):
+    path = Bagged(tmp_path / "a.mcap").clouds().odometry().write()
+    flight, prior = read_flight(path), poses(5)
+    write_tum(tmp_path / "late.tum", Trajectory(prior.stamp_s + 1000, prior.T_world_drone))
+    with pytest.raises(InputError, match=r"late.tum: its poses at 100.* match fewer than two scans, at "):
+        truth_of(flight, path, str(tmp_path / "late.tum"))
+    assert truth_of(flight, path, None) is None
+    (tmp_path / "late.tum").rename(tmp_path / "a.truth.tum")
+    assert len(truth_of(flight, path, None)) == 5
+    write_tum(tmp_path / "right.tum", prior)
+    assert len(truth_of(flight, path, str(tmp_path / "right.tum"))) == 5
