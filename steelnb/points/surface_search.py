@@ -14,7 +14,7 @@ from steelnb.points.voxel_map import VoxelMap
 COARSER, DENSE_MIN, CLEAR_VOXELS = (2, 4), 4, 3
 """See `surfaces_of`: wider cells, in multiples of the edge; number of points in a voxel of dense steel, or this part
 of the usual one; and distance of what is sparse from it, in voxels, since range noise spreads points around a bar."""
-RINGS, NEW_RINGS_MIN, BELOW_MAX, CONTINUED = 8, 0.02, 0.02, 4.0
+RINGS, NEW_RINGS_MIN, BELOW_MAX, CONTINUED = (8, 16, 32), 0.02, 0.02, 4.0
 """Cells in which ground is sought that was scanned in rings, in multiples of the edge; minimum share of it that is new;
 maximum share of the points below it; and how many times farther than other surfaces it continues past its cells."""
 RINGS_MAX, ROWS_MIN, LINE_CELLS = 0.8, 0.85, 2.5
@@ -50,7 +50,8 @@ def surfaces_of(voxels: VoxelMap, ridge: Array, cell_m: float) -> Surfaces:
         found = found.extended(thin[is_sparse | (label >= 0)], wider * cell_m, near_m)
         found = found.extended(thin, wider * cell_m, near_m, is_level_or_in_rows)
         label = found.label_of(thin)
-    found = found.extended(thin, RINGS * cell_m, near_m, is_ground_in_rings, NEW_RINGS_MIN)
+    for wider in RINGS:
+        found = found.extended(thin, wider * cell_m, near_m, is_ground_in_rings, NEW_RINGS_MIN)
     is_in_rings = found.cell_m > COARSER[-1] * cell_m
     return replace(found, reach_m=np.where(is_in_rings, CONTINUED, 1.0) * found.reach_m)
 

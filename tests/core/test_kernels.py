@@ -72,8 +72,9 @@ def test_without_a_writable_place_the_package_works(tmp_path):
     code = """if True:
         import numpy as np, steelnb.notebook.study
         from steelnb.core.cache import cached
-        from steelnb.points import filters, voxel_grid
-        assert len(voxel_grid(np.eye(3), 0.5)) == cached(lambda: 3, "key")
+        from steelnb.core.types import Segments
+        from steelnb.hough.freedom import nearest_bar
+        assert len(nearest_bar(np.eye(3), Segments.empty(), 1.0, 1.0)) == cached(lambda: 3, "key")
         print(steelnb.__file__)
     """
     nowhere = {"PYTHONPATH": "", "HOME": "/dev/null", "STEELNB_CACHE": "/dev/null/cache", "TMPDIR": str(tmp_path)}
