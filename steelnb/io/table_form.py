@@ -5,7 +5,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from steelnb.io.encodings import decoded, plain_nan
-from steelnb.io.text import Table, is_number, quoted, split_cells
+from steelnb.io.text import Table, is_number, shown, split_cells
 
 HEAD_BYTES, COLUMNS_MAX = 1 << 16, 1000
 """The form of a table is found in its first bytes; no table of points or poses has so many columns."""
@@ -52,7 +52,7 @@ def read_table(path: Path) -> Table:
     begin = next((k for k, body in enumerate(bodies) if _is_of_numbers(_cells_of(body))), len(bodies))
     heads, content, bodies = list(zip(content, bodies, strict=True))[:begin], content[begin:], bodies[begin:]
     if not bodies:
-        raise ValueError(f"{quoted(heads[0][1])} and no line of numbers after it")
+        raise ValueError(f"{shown(heads[0][1])} and no line of numbers after it")
     heading = _cells_of(bodies[0])
     is_index = len(bodies) > 1 and heading[0] == "" and _counts(heading[1:])  # as pandas writes it
     if not heads and (is_index or (_counts(heading) and "," in bodies[0] and "." in "".join(bodies[1:2]))):
@@ -141,7 +141,7 @@ def _names(heads: list[tuple[int, str]], counts: set[int], begin: int) -> tuple[
     for (number, text), cells in zip(heads[chosen + 1 :], split[chosen + 1 :], strict=True):
         plain = [cell.strip("[]() ").lower() for cell in cells]
         if len(plain) != len(split[chosen]) or not all(word in UNIT_OF or not word.strip("-") for word in plain):
-            raise ValueError(f"line {number + 1}: {quoted(text)}; expected numbers")
+            raise ValueError(f"line {number + 1}: {shown(text)}; expected numbers")
         units = [UNIT_OF.get(word, "") for word in plain]
     return split[chosen], units
 

@@ -87,10 +87,10 @@ class Table:
                 continue
             cells = split_cells(text, self.separator)
             if len(cells) != self.columns:
-                raise ValueError(f"line {number} has {len(cells)} fields, {quoted(text)}; expected {self.columns}")
+                raise ValueError(f"line {number} has {len(cells)} fields, {shown(text)}; expected {self.columns}")
             for cell in (cells[k] for k in wanted):
                 if not is_number(cell, self.decimal) and cell not in NOT_A_NUMBER:
-                    raise ValueError(f"line {number}: {quoted(cell)}; expected a number")
+                    raise ValueError(f"line {number}: {shown(cell)}; expected a number")
             seen += 1
             if seen == rows:
                 return
@@ -124,6 +124,6 @@ def is_number(cell: str, decimal: str) -> bool:
     return "_" not in cell and (decimal == "." or "." not in cell)
 
 
-def quoted(text: str) -> str:
+def shown(text: str) -> str:
     """A text of a file for a message."""
     return repr(text if len(text) <= 40 else f"{text[:40]}…")
