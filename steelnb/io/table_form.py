@@ -4,8 +4,9 @@ import re
 from datetime import UTC, datetime
 from pathlib import Path
 
+from steelnb.core.checks import shown
 from steelnb.io.encodings import decoded, plain_nan
-from steelnb.io.text import Table, is_number, shown, split_cells
+from steelnb.io.text import Table, is_number, split_cells
 
 HEAD_BYTES, COLUMNS_MAX = 1 << 16, 1000
 """The form of a table is found in its first bytes; no table of points or poses has so many columns."""

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
+from steelnb.core.checks import shown
 from steelnb.core.types import Array
 
 NOT_A_NUMBER = ("", "nan", "NaN", "NAN", "-nan", "-NaN", "nan(ind)", "-nan(ind)", "NA", "N/A", "null", "NULL", "None")
@@ -122,8 +123,3 @@ def is_number(cell: str, decimal: str) -> bool:
     except ValueError:
         return False
     return "_" not in cell and (decimal == "." or "." not in cell)
-
-
-def shown(text: str) -> str:
-    """A text of a file for a message."""
-    return repr(text if len(text) <= 40 else f"{text[:40]}…")
