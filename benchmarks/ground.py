@@ -1,4 +1,4 @@
-"""Bars of made-up clouds on ground that is sampled more sparsely than the steel.
+"""Bars of made-up clouds on ground that is sampled more sparsely than the steel, or in rings.
 
 PYTHONPATH=. .venv/bin/python benchmarks/ground.py
 """
@@ -9,6 +9,7 @@ from steelnb.core.types import Array
 from steelnb.fusion.whole_cloud import bars_of_cloud
 from steelnb.metrics.segments import match_members
 from tests.lattice import lattice, scanned
+from tests.scanner import seen
 
 HALF_M, SLOPE = 5.0, 0.3
 WIDTH_M, NOISE_M = 0.08, 0.01
@@ -33,11 +34,19 @@ def main() -> None:
             for spacing_m in spacings:
                 steel = scanned(bars, per_m, WIDTH_M, NOISE_M)
                 cloud = np.concatenate([steel, ground(np.random.default_rng(1), spacing_m, slope)])
-                right = match_members(bars_of_cloud(cloud).bars, bars).right
-                print(
-                    f"{name}, {per_m} points/m, ground {spacing_m} m: {right.sum()} right, {(~right).sum()} false",
-                    flush=True,
-                )
+                report(f"{name}, {per_m} points/m, ground {spacing_m} m", cloud, bars)
+    mast = lattice(8.0, 2.0, 1.0, 4)
+    steel = scanned(mast, 400, 0.06, 0.005)
+    for stations in (1, 2, 3, 4):
+        for beams, half_deg, wall_x in ((16, 15.0, None), (64, 22.5, None), (64, 22.5, -14.0)):
+            cloud = np.concatenate([seen(beams, half_deg, wall_x, stations=stations), steel])
+            report(f"{beams} beams, {stations} stations{', wall' if wall_x else ''}", cloud, mast)
+
+
+def report(name: str, cloud: Array, bars: Array) -> None:
+    """Print right and false bars of a cloud."""
+    right = match_members(bars_of_cloud(cloud).bars, bars).right
+    print(f"{name}: {right.sum()} right, {(~right).sum()} false", flush=True)
 
 
 if __name__ == "__main__":
