@@ -26,8 +26,9 @@ _CLOUD, _RIGID = "(N, 3) or (H, W, 3)", "a rigid transform (4, 4)"
 
 def guess(name: Any, known: Iterable[str]) -> str:
     """`, did you mean ...?` if a known name is similar, else empty."""
-    near = difflib.get_close_matches(str(name), list(known), n=1)
-    return f", did you mean {near[0]!r}?" if near else ""
+    by_lower = {each.lower(): each for each in known}
+    near = difflib.get_close_matches(str(name).lower(), by_lower, n=1)
+    return f", did you mean {by_lower[near[0]]!r}?" if near else ""
 
 
 def quoted(names: Any) -> str:

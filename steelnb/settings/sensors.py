@@ -26,6 +26,8 @@ class CameraSettings(Settings):
     ``mount_m`` and ``mount_rpy_deg``: its position, and its roll, pitch and yaw about the drone's axes.
     """
 
+    lists_as = tuple
+
     columns: Annotated[int, Field(ge=1, le=4096)] = 64
     rows: Annotated[int, Field(ge=1, le=4096)] = 64
     fov_horizontal_rad: Annotated[float, Field(gt=0, lt=math.pi)] = 2.04
@@ -82,6 +84,9 @@ class TofSettings(CameraSettings):
             raise ValueError(
                 f"pixel_origin = 'corner' with {self.columns} x {self.rows} pixels: expected an image, for half a pixel"
             )
+        for gap in self.blind_s:
+            if not gap[0] < gap[1]:
+                raise ValueError(f"blind_s: {gap}: expected the first and last second of a gap, such as (60.0, 75.0)")
         self.sample_steps()  # raises for an unknown plot and for steps that do not increase
         return self
 
