@@ -259,7 +259,10 @@ BAD = (
     ("seeds = ['report', '9-8']", ["'9-8'", "101-130"]),
     ("methods = []", ["methods = []"]),
     ('method = ["icp"]', ["method = ['icp']: unknown setting, did you mean 'methods'"]),
-    ('variants = { "lab" = { "sensor" = "starling2-honest" } }', ["sensor = 'starling2-honest'", "choose it by its preset"]),
+    (
+        'variants = { "lab" = { "sensor" = "starling2-honest" } }',
+        ["sensor = 'starling2-honest'", "choose it by its preset"],
+    ),
     ('methods = ["icp", "icq"]', ["[g0]", "'icq'", "'icp-3dof'"]),
     ('sensors = ["lidar"]', ["sensor = 'lidar'"]),
     ('variants = { "much" = { "hough.dxm" = 1.0 } }', ["hough.dxm"]),
