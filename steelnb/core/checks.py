@@ -125,21 +125,6 @@ def checked_shape(values: Any, name: str, shape: tuple[int, ...]) -> NDArray[Any
     return array
 
 
-def check_columns(instance: object, **columns: int) -> None:
-    """Raise `InputError` unless fields are numbers of as many rows as the first field has: ``(M,)`` for 0 columns,
-    ``(M, 3)`` for 3. Values are not read, so that this takes a few microseconds."""
-    rows: Any = None
-    for name, width in columns.items():
-        array = getattr(instance, name)
-        shape = getattr(array, "shape", ())
-        rows = shape[0] if rows is None and shape else rows
-        dtype = getattr(array, "dtype", None)
-        if shape != ((rows, width) if width else (rows,)) or dtype is None or dtype.kind not in "fiu":
-            has = f"{shown(array) if dtype is None else dtype} of shape {shape}"
-            expected = f"({rows or 'M'}, {width or ''}".rstrip() + ")"
-            raise InputError(f"{type(instance).__name__}.{name}: {has}; expected an array {expected} of numbers")
-
-
 def checked_stamps(values: object, name: str) -> _Array:
     """Strictly increasing finite stamps ``(N,)``, seconds."""
     stamp_s = checked_array(values, name, ("N",))

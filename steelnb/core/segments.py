@@ -27,7 +27,7 @@ class Lines:
     label: IntArray
 
     def __post_init__(self) -> None:
-        checks.check_columns(self, count=0, anchor=3, direction=3)
+        check_columns(self, count=0, anchor=3, direction=3)
         label = checks.checked_shape(self.label, "Lines.label", np.shape(self.label)[:1])
         checks.set_checked(self, label=label)
 
@@ -60,7 +60,7 @@ class Segments:
     radius: Array
 
     def __post_init__(self) -> None:
-        checks.check_columns(self, start=3, end=3, count=0, radius=0)
+        check_columns(self, start=3, end=3, count=0, radius=0)
 
     def __len__(self) -> int:
         return len(self.count)
@@ -132,3 +132,18 @@ def _at_least(array: NDArray[Any], name: str, low: int, dtype: Any) -> NDArray[A
         off = array[~((array >= low) & (array < np.inf))][0]
         raise InputError(f"{name}: {off}; expected finite numbers of at least {low}")
     return _writable(array, dtype)
+
+
+def check_columns(instance: object, **columns: int) -> None:
+    """Raise `InputError` unless fields are numbers of as many rows as the first field has: ``(M,)`` for 0 columns,
+    ``(M, 3)`` for 3. Values are not read, so that this takes a few microseconds."""
+    rows: Any = None
+    for name, width in columns.items():
+        array = getattr(instance, name)
+        shape = getattr(array, "shape", ())
+        rows = shape[0] if rows is None and shape else rows
+        dtype = getattr(array, "dtype", None)
+        if shape != ((rows, width) if width else (rows,)) or dtype is None or dtype.kind not in "fiu":
+            has = f"{checks.shown(array) if dtype is None else dtype} of shape {shape}"
+            expected = f"({rows or 'M'}, {width or ''}".rstrip() + ")"
+            raise InputError(f"{type(instance).__name__}.{name}: {has}; expected an array {expected} of numbers")
