@@ -54,7 +54,7 @@ def checked_choice(value: object, name: str, known: Iterable[str]) -> str:
 
 def checked_kind(value: object, name: str, kind: Any, hint: str = "") -> Any:
     """An object of a class, or of one in a union. ``hint``: what to call to get one."""
-    if isinstance(value, kind) and (kind is str or not isinstance(value, str | bytes)):
+    if isinstance(value, kind) and (not isinstance(value, str | bytes) or str in (kind, *get_args(kind))):
         return value
     kinds = " or ".join(dict.fromkeys(getattr(each, "__name__", str(each)) for each in get_args(kind) or (kind,)))
     raise InputError(f"{name} = {shown(value)}: expected {kinds}{f', as from {hint}' if hint else ''}")

@@ -56,6 +56,9 @@ class TowerSettings(Settings):
                     f"sections_m.{kind} = {(width_m, thickness_m)}: expected a flange wider than it is thick"
                 )
         (ground_m, _), (waist_m, _), (top_m, _) = self.profile_m
+        leg_m = self.sections_m["leg"][0]
+        if self.members is None and not min(width_m for _, width_m in self.profile_m) > leg_m:
+            raise ValueError(f"profile_m = {self.profile_m}: expected widths above that of a leg, {leg_m:g} m")
         if not 0.0 == ground_m < waist_m < top_m:
             raise ValueError(f"profile_m = {self.profile_m}: expected heights that rise from 0")
         height_m = [height for height, _ in self.arms_m]

@@ -53,6 +53,10 @@ from steelnb.simulation.tof import scan_steps
         ({"overrides": {"tof.rate": 5}}, "TofSettings: rate = 5: unknown setting, did you mean 'rate_hz'"),
         ({"overrides": {"radar.rate_hz": 5}}, "radar.rate_hz"),
         ({"overrides": {"tower.profile_m": ((0.0, 4.0), (20.0, 1.7), (16.0, 1.0))}}, "profile_m = .*rise from 0"),
+        (
+            {"overrides": {"tower.profile_m": ((0.0, 1.0), (9.0, 0.1), (16.0, 1.0))}},
+            "widths above that of a leg, 0.12 m",
+        ),
         ({"overrides": {"tower.arms_m": ((10.0, 3.0), (10.3, 3.0))}}, "arms at least 0.7 m apart"),
         ({"overrides": {"tower.arms_m": ((15.8, 3.0),)}}, "between the waist and the top"),
         ({"overrides": {"tof.columns": True}}, "columns = True"),
