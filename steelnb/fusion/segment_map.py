@@ -95,6 +95,9 @@ class SegmentMap:
     def __len__(self) -> int:
         return len(self.segments)
 
+    def __repr__(self) -> str:
+        return f"SegmentMap({len(self)} bars, {self.segments.length.sum():.2f} m in all, of {self.inserts} scans)"
+
     @checks_arguments
     def insert(self, new: Segments) -> IntArray:
         """Add M segments in the world frame; returns the bar of the map that each was merged into ``(M,)``.

@@ -49,6 +49,9 @@ class VoxelMap:
     def __len__(self) -> int:
         return self._size
 
+    def __repr__(self) -> str:
+        return f"VoxelMap({self._size} voxels of {self.voxel_m:g} m)"
+
     @checks_arguments
     def insert(self, points: Array, weight: Array | None = None) -> None:
         """Add points ``(N, 3)`` in metres with weights ``(N,)``, default 1.
@@ -136,9 +139,9 @@ class VoxelMap:
     def _checked(self, slots: IntArray, low: int) -> IntArray:
         """Slots of this map. Raises `InputError`: compiled code would read beyond its arrays."""
         slots = np.asarray(slots) if np.size(slots) else np.zeros(0, dtype=np.int64)
-        expected = f"whole numbers (N,) from {low} to {self._size - 1}"
+        expected = f"whole numbers from {low} to {self._size - 1}"
         if slots.dtype.kind not in "iu" or slots.ndim != 1:
-            raise InputError(f"slots: {slots.dtype} of shape {slots.shape}; expected {expected}")
+            raise InputError(f"slots: {slots.dtype} of shape {slots.shape}; expected {expected} in an array (N,)")
         if len(slots) and not low <= slots.min() <= slots.max() < self._size:
             raise InputError(f"slots: {slots[(slots < low) | (slots >= self._size)][0]}; expected {expected}")
         return slots

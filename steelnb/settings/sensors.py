@@ -20,6 +20,10 @@ TofFault = Literal["footprint", "exposure", "multipath", "amplitude", "wiggle", 
 surface; noise and dropout that depend on the amplitude; an error periodic in the range; errors of offset and scale."""
 
 
+SCALE_MIN, SCALE_MAX = 0.8, 1.25
+"""Bounds of the measured scale of ranges: other lengths are not in metres."""
+
+
 class CameraSettings(Settings):
     """A pinhole camera on the drone. In the camera frame, x is the optical axis, y left, z up.
 
@@ -73,7 +77,7 @@ class TofSettings(CameraSettings):
     draw: Annotated[int, Field(ge=0, lt=2**31)] = 0
     blind_s: tuple[tuple[float, float], ...] = ()
     faults: tuple[TofFault, ...] = ()
-    range_scale: Annotated[float, Field(ge=0.8, le=1.25)] = 1.0
+    range_scale: Annotated[float, Field(ge=SCALE_MIN, le=SCALE_MAX)] = 1.0
     range_offset_m: Annotated[float, Field(ge=-0.5, le=0.5)] = 0.0
     range_scale_sigma: NotNegative = 0.0
     range_offset_sigma_m: NotNegative = 0.0

@@ -11,7 +11,11 @@ from steelnb.core.errors import InputError
 from steelnb.core.estimates import Estimate, OdometryStep
 from steelnb.core.range_scans import RangeScans
 from steelnb.core.types import Flight, Imu, Lines, Scan, Segments, Trajectory
+from steelnb.fusion import SegmentMap
 from steelnb.fusion.structure import Structure
+from steelnb.odometry import CloudOdometry, SegmentOdometry
+from steelnb.points import VoxelMap
+from steelnb.simulation import Truth, Visibility, build_tower
 
 K = 5
 STAMP_S, POSES, CLOUD = np.arange(K) + 1.7e9, np.tile(np.eye(4), (K, 1, 1)), np.ones((7, 3))
@@ -151,6 +155,11 @@ def test_an_estimate_of_no_scans_has_no_share_on_time():
     assert estimate().on_time_share == 1.0
 
 
+def truth():
+    tower = build_tower()
+    return Truth(PATH, tower, Visibility((np.full(9, 50),) * len(tower.members)))
+
+
 class Unread(Sequence):
     stamp_s = STAMP_S
 
@@ -164,7 +173,8 @@ class Unread(Sequence):
 @pytest.mark.parametrize(
     "value",
     [PATH, SCANS[0], Flight(Unread(), PATH, np.eye(4)), estimate(), Segments.empty(), Structure.empty("no bar"),
-     OdometryStep(0.0, np.eye(4)), Imu(STAMP_S, np.ones((K, 3)), np.ones((K, 3)))],
+     OdometryStep(0.0, np.eye(4)), Imu(STAMP_S, np.ones((K, 3)), np.ones((K, 3))),
+     *(make() for make in (build_tower, truth, SegmentMap, SegmentOdometry, CloudOdometry, lambda: VoxelMap(0.1)))],
 )  # fmt: skip
 def test_each_says_in_a_line_what_it_holds_and_scans_of_a_file_are_not_read(value):
     assert repr(value).startswith(type(value).__name__)
