@@ -26,7 +26,7 @@ from steelnb.core.arguments import checks_arguments
 from steelnb.core.errors import InputError
 from steelnb.core.estimates import OdometryStep
 from steelnb.core.kernels import compiling
-from steelnb.core.types import Flight, Scan, Segments, Trajectory
+from steelnb.core.types import Flight, Lines, Scan, Segments, Trajectory
 from steelnb.hough.alternatives.methods import find_bars_by
 from steelnb.notebook import study
 
@@ -40,6 +40,18 @@ POINTS = registration.make_target(CLOUD, "point")
 AXES = np.array([[[0.0, 0, 0], [0, 0, 1]]])
 CROP, FUSION = settings.PreprocessSettings(), settings.FusionSettings()
 ICP = settings.OdometrySettings.preset("icp")
+
+
+def bars(**change):
+    parts = {"start": [[0.0, 0, 0]], "end": [[0.0, 0, 1]], "count": [9], "radius": [0.01]}
+    return Segments(**{name: np.array(value) + change.get(name, 0) for name, value in parts.items()})
+
+
+def cut_with_label(label):
+    lines = Lines(np.zeros((1, 3)), AXES[0, 1:], np.array([60]), [label] * 60)
+    return hough.cut_and_sort(CLOUD, lines, 0.4, 2, 0.0, 1.0, 0.0, 0.0)
+
+
 TAKE_A_CLOUD = {
     "insert": lambda cloud: points.VoxelMap(0.1).insert(cloud),
     "voxel_grid": lambda cloud: points.voxel_grid(cloud, 0.1),
@@ -128,7 +140,9 @@ def test_clouds_of_another_kind(take, cloud):
         (lambda: settings.OdometrySettings.preset("best", overrides="smooth"), "overrides = 'smooth'"),
         (lambda: settings.ExperimentSettings.preset(overrides="smooth"), "overrides = 'smooth'"),
         (lambda: settings.ExperimentSettings.preset(seed=-1), "seed = -1"),
-        (lambda: settings.ExperimentSettings.preset(seed=np.ones((2, 2))), "seed = ndarray"),
+        (lambda: settings.ExperimentSettings.report(3.5, "vertical", "gicp"), "figure = 3.5: expected str"),
+        (lambda: settings.OdometrySettings.preset("ICP"), "method = 'ICP', did you mean 'icp'"),
+        (lambda: settings.ExperimentSettings.preset(seed=np.ones((2, 2))), r"seed = \[\["),
         (lambda: settings.ExperimentSettings.preset(trajectory=np.ones((2, 2))), "trajectory = ndarray"),
         (lambda: settings.Noise(random_walk_m=NAN), "Noise.random_walk_m = nan: expected a finite number"),
         (lambda: settings.parse_parameter(None), "text = None: expected a text"),
@@ -179,6 +193,24 @@ def test_clouds_of_another_kind(take, cloud):
         (lambda: FLIGHT.first(-1), "count = -1"),
         (lambda: FLIGHT.prior.moved("far"), "by: str"),
         (lambda: FLIGHT.prior.between([NAN]), r"stamp_s\[0\] = nan"),
+        (lambda: fusion.SegmentMap().insert(bars(radius=-1.0)), "Segments.radius: -0.99"),
+        (lambda: fusion.associate(bars(), bars(end=NAN), FUSION), r"Segments.end\[0, 0\] = nan"),
+        (lambda: cut_with_label(3), "Lines.label: 3; expected less than the number of lines, 1"),
+        (lambda: points.VoxelMap(0.1).shapes(np.zeros((1, 2), int)), r"slots: int64 of shape \(1, 2\)"),
+        (lambda: points.VoxelMap(0.1).means([True]), r"slots: bool of shape \(1,\)"),
+        (lambda: points.VoxelMap(0.1).means([4]), "slots: 4; expected whole numbers"),
+        (lambda: points.VoxelMap(0.1).near("abc", 1.0), "centre: str"),
+        (lambda: points.VoxelMap(0.1).near([NAN] * 3, 1.0), r"centre\[0\] = nan"),
+        (lambda: points.VoxelMap(0.1).near([0.0] * 3, NAN), "radius_m = nan"),
+        (lambda: points.VoxelMap(0.1).insert(CLOUD, "a"), "weight = 'a'"),
+        (lambda: points.VoxelMap(0.1).correspond(CLOUD, np.eye(4), 1.0, np.zeros(60, int), None), "state = None"),
+        (lambda: registration.icp_as_pcl(CLOUD, POINTS, 1.0, 5, NAN), "epsilon = nan"),
+        (lambda: metrics.bend(CLOUD, CLOUD, (0.0, 0.0, 0.0)), r"axis: an array of shape \(3,\)"),
+        (lambda: metrics.bend(CLOUD, CLOUD, (0.0, NAN)), r"axis\[1\] = nan"),
+        (lambda: metrics.seen_members(AXES, CLOUD, np.full(60, 1)), "member: 1; expected less than .* axes, 1"),
+        (lambda: metrics.seen_members(0 * AXES, CLOUD, np.zeros(60, int)), r"axes\[0\]: both ends at"),
+        (lambda: metrics.score_segments(Segments.empty(), 0 * AXES), r"axes\[0\]: both ends at"),
+        (lambda: odometry.correct(FLIGHT, ICP, own=Own), "Own: its constructor needs give; expected T_drone_sensor"),
         (lambda: settings.ExperimentSettings.preset(seed=np.float64(1.5)), "seed = 1.5"),
     ],
 )  # fmt: skip
@@ -233,6 +265,20 @@ def test_integers_compile_nothing_that_floats_have_not():
     assert compiling.count == before
 
 
+def test_bars_of_other_types_compile_nothing_that_usual_ones_have_not():
+    known = bars()
+    fusion.SegmentMap().insert(known)
+    assert fusion.associate(known, known, FUSION).tolist() == [0]
+    before = compiling.count
+    single = Segments(*(getattr(known, name).astype(np.float32) for name in ("start", "end", "count", "radius")))
+    fixed = bars()
+    fixed.start.flags.writeable = fixed.count.flags.writeable = False
+    for other in (single, fixed):
+        fusion.SegmentMap().insert(other)
+        assert fusion.associate(other, known, FUSION).tolist() == [0]
+    assert compiling.count == before
+
+
 def test_numbers_of_numpy_are_numbers():
     made = settings.ExperimentSettings.preset(
         seed=np.int64(3), duration_s=np.float32(9), overrides={"tof.rate_hz": np.int32(4), "tof.columns": np.uint8(8)}
@@ -261,7 +307,7 @@ def later_changed(scan):
 @pytest.mark.parametrize(
     "give",
     [lambda scan: OdometryStep(scan.stamp_s, np.full((4, 4), NAN)), lambda scan: OdometryStep(1.0, np.eye(4)[:3]),
-     lambda scan: np.eye(4), lambda scan: None, later_changed],
+     lambda scan: np.eye(4), lambda scan: None, later_changed, lambda scan: OdometryStep(101.0, np.eye(4))],
 )  # fmt: skip
 def test_a_bad_step_names_the_class_of_the_odometry_and_the_scan(give):
     with pytest.raises(InputError, match=r"^Own\.update, scan 1: "):

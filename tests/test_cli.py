@@ -90,7 +90,10 @@ BAD = (
     (["run", "a.mcap", "--clock", "sun"], "clock 'sun' with 0.0 s; expected stamps or bag"),
     (["run", "a.mcap", "--time-offset", "5000"], "--time-offset SECONDS shifts scans"),
     (["run", "a.mcap", "--truth", "nothing.tum"], "nothing.tum: no such file, here or in a.mcap"),
-    (["run", "a.mcap", "-o", "kept_run"], "kept_run: exists already; expected a new folder, or --force"),
+    (
+        ["run", "a.mcap", "-o", "kept_run"],
+        "kept_run: exists already; expected a new folder, or --force",
+    ),
     (
         ["run", "a.mcap", "--odometry", "nothing:Mine"],
         "nothing:Mine: module 'nothing' cannot be imported: No module named",
@@ -106,6 +109,8 @@ BAD = (
     (["record", "a.mcap"], "a.mcap: exists already; expected a new name, or --force"),
     (["record", "b.db3"], "b.db3: ending '.db3'; expected .bag or .mcap"),
     (["record", "b.bag", "--duration", "0"], "duration_s = 0.0"),
+    (["record", "b.bag", "--seed", "3", "--set", "seed=7"], "seed = 3, and 7 in the overrides: expected one seed"),
+    (["record", "b.bag", "--set", "sensor=report"], "sensor = 'report': this is 'starling2'; choose it by its preset"),
     (["record", "b.bag", "--set", "preprocess.crop_m=3"], "preprocess.crop_m: a setting of the odometry"),
     (["record", "b.bag", "--set", "odometry.preprocess.crop_m=3"], "odometry.preprocess.crop_m: a setting of the"),
     (["run", "a.mcap", "--set", "tof.rate_hz=3"], "tof.rate_hz: a setting of simulated flights"),

@@ -51,8 +51,8 @@ def checks_arguments(function: Callable[P, R]) -> Callable[P, R]:
 
     Classes, their unions, literals, functions, tables, texts, paths, flags, numbers, sequences and arrays of numbers
     are checked. Ranges, the shapes of arrays and the items of sequences are not: the function checks these itself
-    (`checks`). Numbers become those of Python, since a kernel is compiled for each type that it meets. The checks take
-    about 1 µs a call.
+    (`checks`). Objects with a method ``checked`` become what that returns. Numbers become those of Python, since a
+    kernel is compiled for each type that it meets. The checks take about 1 µs a call.
     """
     named = inspect.getfullargspec(inspect.unwrap(function))
     parameters = [*named.args, *named.kwonlyargs]
@@ -116,5 +116,7 @@ def _demand_of(hint: Any) -> Demand:
     elif origin in (dict, collections.abc.Mapping):
         return Demand(lambda value: isinstance(value, origin), "a table")
     elif inspect.isclass(hint) and origin is None and not getattr(hint, "_is_protocol", False):
-        return Demand(lambda value: isinstance(value, hint), hint.__name__)
+        return Demand(
+            lambda value: isinstance(value, hint), hint.__name__, getattr(hint, "checked", lambda value: value)
+        )
     return UNCHECKED

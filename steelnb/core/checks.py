@@ -26,8 +26,9 @@ _CLOUD, _RIGID = "(N, 3) or (H, W, 3)", "a rigid transform (4, 4)"
 
 def guess(name: Any, known: Iterable[str]) -> str:
     """`, did you mean ...?` if a known name is similar, else empty."""
-    near = difflib.get_close_matches(str(name), list(known), n=1)
-    return f", did you mean {near[0]!r}?" if near else ""
+    by_lower = {each.lower(): each for each in known}
+    near = difflib.get_close_matches(str(name).lower(), by_lower, n=1)
+    return f", did you mean {by_lower[near[0]]!r}?" if near else ""
 
 
 def quoted(names: Any) -> str:
@@ -53,9 +54,9 @@ def checked_choice(value: object, name: str, known: Iterable[str]) -> str:
 
 def checked_kind(value: object, name: str, kind: Any, hint: str = "") -> Any:
     """An object of a class, or of one in a union. ``hint``: what to call to get one."""
-    if isinstance(value, kind) and (kind is str or not isinstance(value, str | bytes)):
+    if isinstance(value, kind) and (not isinstance(value, str | bytes) or str in (kind, *get_args(kind))):
         return value
-    kinds = " or ".join(getattr(each, "__name__", str(each)) for each in get_args(kind) or (kind,))
+    kinds = " or ".join(dict.fromkeys(getattr(each, "__name__", str(each)) for each in get_args(kind) or (kind,)))
     raise InputError(f"{name} = {shown(value)}: expected {kinds}{f', as from {hint}' if hint else ''}")
 
 
@@ -122,21 +123,6 @@ def checked_shape(values: Any, name: str, shape: tuple[int, ...]) -> NDArray[Any
     if array.shape != shape or array.dtype.kind not in "biu":
         raise InputError(f"{name}: {array.dtype} of shape {array.shape}; expected {shape}, integers or truth values")
     return array
-
-
-def check_columns(instance: object, **columns: int) -> None:
-    """Raise `InputError` unless fields are numbers of as many rows as the first field has: ``(M,)`` for 0 columns,
-    ``(M, 3)`` for 3. Values are not read, so that this takes a few microseconds."""
-    rows: Any = None
-    for name, width in columns.items():
-        array = getattr(instance, name)
-        shape = getattr(array, "shape", ())
-        rows = shape[0] if rows is None and shape else rows
-        dtype = getattr(array, "dtype", None)
-        if shape != ((rows, width) if width else (rows,)) or dtype is None or dtype.kind not in "fiu":
-            has = f"{shown(array) if dtype is None else dtype} of shape {shape}"
-            expected = f"({rows or 'M'}, {width or ''}".rstrip() + ")"
-            raise InputError(f"{type(instance).__name__}.{name}: {has}; expected an array {expected} of numbers")
 
 
 def checked_stamps(values: object, name: str) -> _Array:

@@ -1,5 +1,6 @@
 """What an odometry gives: the result of one scan, and that of a flight."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
@@ -124,7 +125,10 @@ class Estimate:
 
     @property
     def on_time_share(self) -> float:
-        """Share of the updates, 0 to 1, that end before the next scan; for the last one, the median interval counts."""
+        """Share of the updates, 0 to 1, that end before the next scan; for the last one, the median interval counts.
+        NaN without scans."""
+        if not len(self.prior):
+            return math.nan
         gaps = np.diff(self.prior.stamp_s)
         deadline_s = np.append(gaps, np.median(gaps) if len(gaps) else np.inf)
         return float((self.update_s <= deadline_s).mean())

@@ -9,6 +9,8 @@ from pathlib import Path
 
 from steelnb.core.errors import InputError, OutputError, SteelnbError
 
+OVERWRITE = "--force (in Python, overwrite=True)"
+
 
 @contextmanager
 def reading(path: Path | str, form: str, folder: bool = False) -> Iterator[None]:
@@ -47,7 +49,21 @@ def check_folder(target: Path, overwrite: bool, source: Path | None = None) -> N
     if source is not None and os.path.realpath(target) == os.path.realpath(source):
         raise OutputError(f"{target}: is what is read; expected another folder")
     if not overwrite and os.path.exists(target) and (not target.is_dir() or any(target.iterdir())):
-        raise OutputError(f"{target}: exists already; expected a new folder, or --force to overwrite")
+        raise OutputError(f"{target}: exists already; expected a new folder, or {OVERWRITE}")
+
+
+def check_writable(target: Path | str) -> None:
+    """Raise `OutputError` if a folder cannot be written to, or cannot be made."""
+    try:
+        with tempfile.TemporaryDirectory(prefix=".steelnb-", dir=_nearest(Path(target).absolute())):
+            pass
+    except OSError as fault:
+        raise OutputError(f"{target}: cannot be written: {fault.strerror or fault}") from None
+
+
+def _nearest(target: Path) -> Path:
+    """The folder itself if it exists, else the nearest one above it that does."""
+    return next(folder for folder in (target, *target.parents) if os.path.exists(folder))
 
 
 @contextmanager
@@ -58,9 +74,8 @@ def new_folder(target: Path | str, stale: Sequence[str] = ()) -> Iterator[Path]:
     created first, so a place that is not writable raises `OutputError` before any work is done.
     """
     target = Path(target).absolute()
-    parent = next(folder for folder in (target, *target.parents) if os.path.exists(folder))
     try:
-        with tempfile.TemporaryDirectory(prefix=".steelnb-", dir=parent) as scratch:
+        with tempfile.TemporaryDirectory(prefix=".steelnb-", dir=_nearest(target)) as scratch:
             yield Path(scratch)
             target.mkdir(parents=True, exist_ok=True)
             for old in [old for pattern in stale for old in target.glob(pattern)]:

@@ -4,18 +4,20 @@ Transforms are ``(4, 4)`` float64 arrays named ``T_target_source``, clouds ``(N,
 for invalid returns, times float64 seconds. World z is up; the drone frame is x forward, y left, z up (REP 103).
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from steelnb.core import checks
+from steelnb.core.arrays import without_zeros
 from steelnb.core.errors import InputError
 from steelnb.core.images import CameraImages
+from steelnb.core.segments import Array, IntArray, Lines, Segments
 
-Array = NDArray[np.float64]
-IntArray = NDArray[np.int64]
+__all__ = ["GRAVITY", "Array", "Flight", "Floats", "Imu", "IntArray", "Lines", "Scan", "Segments", "Trajectory"]
+
 Floats = NDArray[np.float32]
 
 
@@ -25,7 +27,7 @@ def _span(stamp_s: Array) -> str:
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
-    """Poses of the drone: ``stamp_s (N,)``, strictly increasing, and ``T_world_drone (N, 4, 4)``."""
+    """Poses of the drone: ``stamp_s (N,)``, strictly increasing, and ``T_world_drone (N, 4, 4)``. Arrays are shared."""
 
     stamp_s: Array
     T_world_drone: Array
@@ -58,13 +60,14 @@ class Trajectory:
         return Trajectory(self.stamp_s, T_world_drone)
 
     def at(self, stamp_s: Array) -> "Trajectory":
-        """The poses at ``stamp_s (K,)``, to within a microsecond at any epoch. Raises ValueError if one is missing."""
+        """The poses at ``stamp_s (K,)``, to within a microsecond at any epoch. Raises `InputError` if one is
+        missing."""
         stamp_s = checks.checked_array(stamp_s, "stamp_s", ("K",))
         index = np.searchsorted(self.stamp_s, stamp_s - checks.SAME_S)
         found_s = np.append(self.stamp_s, np.inf)[index]
         missing = stamp_s[found_s - stamp_s > checks.SAME_S]
         if len(missing):
-            raise ValueError(f"no pose at {len(missing)} of {len(stamp_s)} stamps, such as {missing[0]!s} s; {self}")
+            raise InputError(f"no pose at {len(missing)} of {len(stamp_s)} stamps, such as {missing[0]!s} s; {self}")
         return Trajectory(self.stamp_s[index], self.T_world_drone[index])
 
     def between(self, stamp_s: Array) -> Array:
@@ -72,7 +75,8 @@ class Trajectory:
         to the first and last pose. Raises `InputError` with fewer than two poses."""
         from steelnb.core.geometry import interpolated_poses  # imports this module
 
-        checks.checked_array(np.ravel(stamp_s), "stamp_s", ("K",))
+        shape = np.shape(stamp_s)
+        stamp_s = checks.checked_array(np.ravel(stamp_s), "stamp_s", ("K",)).reshape(shape)
         if len(self) < 2:
             raise InputError(f"a trajectory of {len(self)} poses: expected at least two to interpolate")
         return interpolated_poses(self.stamp_s, self.T_world_drone, stamp_s)
@@ -102,7 +106,8 @@ class Imu:
 
 @dataclass(frozen=True, eq=False)
 class Scan:
-    """One scan: points ``(H, W, 3)`` or ``(N, 3)`` in the sensor frame, metres; invalid returns are NaN.
+    """One scan: points ``(H, W, 3)`` or ``(N, 3)`` in the sensor frame, metres; invalid returns are NaN. Points at
+    exactly zero become NaN: many drivers write them for no return. Without such points, the array is shared.
 
     ``fault``: why a scan of a recording has no points, such as "unreadable file"; else empty.
     """
@@ -114,7 +119,8 @@ class Scan:
     def __post_init__(self) -> None:
         stamp_s = checks.checked_number(self.stamp_s, "Scan.stamp_s")
         checks.checked_kind(self.fault, "Scan.fault", str)
-        checks.set_checked(self, stamp_s=stamp_s, points=checks.checked_cloud(self.points, "Scan.points"))
+        points = without_zeros(checks.checked_cloud(self.points, "Scan.points"))
+        checks.set_checked(self, stamp_s=stamp_s, points=points)
 
     def __repr__(self) -> str:
         count, fault = np.count_nonzero(np.isfinite(self.points).all(axis=-1)), self.fault and f", {self.fault}"
@@ -143,8 +149,15 @@ class Flight:
 
     def __post_init__(self) -> None:
         checks.set_checked(self, T_drone_sensor=checks.checked_pose(self.T_drone_sensor, "Flight.T_drone_sensor"))
-        for name, kind in (("prior", Trajectory), ("imu", Imu | None), ("images", CameraImages | None)):
+        for name, kind in (
+            ("prior", Trajectory), ("imu", Imu | None), ("images", CameraImages | None), ("name", str),
+            ("facts", Mapping), ("skipped", Mapping),
+        ):  # fmt: skip
             checks.checked_kind(getattr(self, name), f"Flight.{name}", kind)
+        checks.check_sequence(self.range_sigmas, "Flight.range_sigmas", "two numbers")
+        checks.check_length(self.range_sigmas, "Flight.range_sigmas", 2, "of scale and offset")
+        sigmas = tuple(checks.checked_number(each, "Flight.range_sigmas", 0) for each in self.range_sigmas)
+        checks.set_checked(self, range_sigmas=sigmas)
         checks.check_sequence(self.scans, "Flight.scans", "Scan")
         stamp_s = getattr(self.scans, "stamp_s", None)  # known without reading the scans
         if stamp_s is None and isinstance(self.scans, list | tuple):
@@ -169,82 +182,3 @@ class Flight:
         part = slice(checks.checked_integer(count, "count", 0))
         prior = Trajectory(self.prior.stamp_s[part], self.prior.T_world_drone[part])
         return replace(self, scans=self.scans[part], prior=prior)
-
-
-@dataclass(frozen=True, eq=False)
-class Lines:
-    """Infinite lines: ``anchor (M, 3)``, unit ``direction (M, 3)``, number of points ``count (M,)``, and ``label
-    (N,)``, the line of each input point or −1."""
-
-    anchor: Array
-    direction: Array
-    count: IntArray
-    label: IntArray
-
-    def __post_init__(self) -> None:
-        checks.check_columns(self, count=0, anchor=3, direction=3)
-        checks.checked_shape(self.label, "Lines.label", np.shape(self.label)[:1])
-
-    def __len__(self) -> int:
-        return len(self.count)
-
-    def __repr__(self) -> str:
-        return f"Lines({len(self)} of {len(self.label)} points)"
-
-
-@dataclass(frozen=True, eq=False)
-class Segments:
-    """Line segments, metres: ``start (M, 3)``, ``end (M, 3)``, number of points ``count (M,)``, and ``radius (M,)``,
-    the root mean square distance of these points from the axis."""
-
-    start: Array
-    end: Array
-    count: IntArray
-    radius: Array
-
-    def __post_init__(self) -> None:
-        checks.check_columns(self, start=3, end=3, count=0, radius=0)
-
-    def __len__(self) -> int:
-        return len(self.count)
-
-    def __repr__(self) -> str:
-        return f"Segments({len(self)}, {self.length.sum():.2f} m in all)"
-
-    @staticmethod
-    def empty() -> "Segments":
-        return Segments(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0, np.int64), np.zeros(0))
-
-    @staticmethod
-    def joined(parts: "Iterable[Segments]") -> "Segments":
-        """The segments of all parts, in order. Without parts there are none."""
-        columns = zip(*((p.start, p.end, p.count, p.radius) for p in (Segments.empty(), *parts)), strict=True)
-        return Segments(*(np.concatenate(column) for column in columns))
-
-    @property
-    def length(self) -> Array:
-        """Lengths ``(M,)`` in metres."""
-        return np.linalg.norm(self.end - self.start, axis=1)
-
-    @property
-    def middle(self) -> Array:
-        """Midpoints ``(M, 3)``."""
-        return 0.5 * (self.start + self.end)
-
-    @property
-    def direction(self) -> Array:
-        """Unit vectors from start to end ``(M, 3)``."""
-        return (self.end - self.start) / np.maximum(self.length, 1e-12)[:, None]
-
-    def transformed(self, T_target_source: Array) -> "Segments":
-        """The same segments in another frame."""
-        R, t = (T := checks.checked_pose(T_target_source, "T_target_source"))[:3, :3], T[:3, 3]
-        return Segments(self.start @ R.T + t, self.end @ R.T + t, self.count, self.radius)
-
-    def moved(self, by: Array) -> "Segments":
-        """The segments translated by ``by (3,)``, metres."""
-        return replace(self, start=self.start + checks.checked_array(by, "by", (3,)), end=self.end + by)
-
-    def take(self, index: NDArray[np.int64] | NDArray[np.bool_]) -> "Segments":
-        """The segments selected by an index or a mask."""
-        return Segments(self.start[index], self.end[index], self.count[index], self.radius[index])

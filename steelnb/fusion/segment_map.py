@@ -95,18 +95,19 @@ class SegmentMap:
     def __len__(self) -> int:
         return len(self.segments)
 
+    def __repr__(self) -> str:
+        return f"SegmentMap({len(self)} bars, {self.segments.length.sum():.2f} m in all, of {self.inserts} scans)"
+
     @checks_arguments
     def insert(self, new: Segments) -> IntArray:
         """Add M segments in the world frame; returns the bar of the map that each was merged into ``(M,)``.
 
         A segment without a match starts a bar. Bars that match each other once they have grown are merged, the later
-        into the earlier. A ``segments`` object read before this call does not change. Raises `InputError` if an end or
-        a radius is not finite, or a count not positive.
+        into the earlier. A ``segments`` object read before this call does not change. Raises `InputError` for a
+        count that is not positive.
         """
-        if not (np.isfinite(new.start + new.end).all() and np.isfinite(new.radius).all() and (new.count > 0).all()):
-            raise InputError(
-                "new: an end or radius that is not finite, or a count below 1; expected segments of points"
-            )
+        if not (new.count > 0).all():
+            raise InputError(f"new.count: {new.count.min()}; expected segments of at least 1 point")
         if len(new) and not len(self):
             self._origin = shift_of(new.start[0])
         target = associate(new, self.segments, self.settings)

@@ -7,7 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from steelnb.core.arguments import checks_arguments
-from steelnb.core.checks import check_columns, check_length, checked_kind
+from steelnb.core.checks import check_length, checked_kind
+from steelnb.core.segments import check_columns
 from steelnb.core.types import Array, IntArray, Segments
 
 

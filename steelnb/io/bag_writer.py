@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from steelnb.core.arguments import checks_arguments
 from steelnb.core.errors import InputError, OutputError
-from steelnb.core.files import new_folder
+from steelnb.core.files import OVERWRITE, new_folder
 from steelnb.core.types import Array, Flight, Trajectory
 from steelnb.io.containers import typestore
 from steelnb.io.messages import CLOUD, IMU, ODOMETRY, TF
@@ -33,7 +33,7 @@ def check_target(path: Path, overwrite: bool = False) -> None:
         raise InputError(f"{path}: ending {path.suffix!r}; expected .bag or .mcap")
     for each in (path, truth_path(path)):  # the truth may be another recording's
         if os.path.isdir(each) or (os.path.exists(each) and not overwrite):
-            raise OutputError(f"{each}: exists already; expected a new name, or --force to overwrite a file")
+            raise OutputError(f"{each}: exists already; expected a new name, or {OVERWRITE}")
 
 
 @checks_arguments

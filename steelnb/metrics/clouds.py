@@ -24,8 +24,8 @@ def bend(built: Array, true: Array, axis: ArrayLike = (0.0, 0.0)) -> dict[str, f
     slice. Both are ``(N, 3)``, metres, world frame.
 
     Row k of ``built`` and ``true`` is the same return at the estimated and at the true pose. Slices of `SLICE_M` start
-    at true height zero. Those with fewer than `POINTS_MIN` points are dropped. Raises ValueError if no slice remains,
-    or if the shapes differ.
+    at true height zero. Those with fewer than `POINTS_MIN` points are dropped. Raises `InputError` if no slice
+    remains, or if the shapes differ.
 
     Returns ``bend_deg``, the angle between the rotations of the lowest and the highest slice; the maximum over the
     slices of the tilt and the yaw, ``tilt_max_deg`` and ``yaw_max_deg``, and of the displacement of the vertical
@@ -34,12 +34,13 @@ def bend(built: Array, true: Array, axis: ArrayLike = (0.0, 0.0)) -> dict[str, f
     """
     built, true = checked_points(built, "built"), checked_points(true, "true")
     if built.shape != true.shape:
-        raise ValueError(f"built {built.shape} and true {true.shape}: expected pairs of points")
+        raise InputError(f"built {built.shape} and true {true.shape}: expected pairs of points")
+    axis = checked_array(axis, "axis", (2,))
     level = np.floor(true[:, 2] / SLICE_M).astype(int)
     levels, counts = np.unique(level, return_counts=True)
     levels, counts = levels[counts >= POINTS_MIN], counts[counts >= POINTS_MIN]
     if not len(levels):
-        raise ValueError(f"no slice of {SLICE_M} m has {POINTS_MIN} points")
+        raise InputError(f"no slice of {SLICE_M} m has {POINTS_MIN} points")
     motions, blur_m = zip(*(_rigid_fit(true[level == each], built[level == each]) for each in levels), strict=True)
     T = np.array(motions)
     up = T[:, :3, 2]

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from steelnb.core.arguments import checks_arguments
+from steelnb.core.errors import InputError
 from steelnb.core.estimates import Estimate
 from steelnb.core.types import Array, Flight
 from steelnb.metrics.clouds import bend, largest_slip, paired_clouds
@@ -53,18 +54,21 @@ def diagnose(flight: Flight, estimate: Estimate, truth: Truth, preprocess: Prepr
     ``raw_growth_lost_m_s`` and ``raw_growth_paired_m_s``: the same of the uncorrected error; ``wrong_share``: share of
     the scans with correspondences whose error exceeds `WRONG_M`; ``slip_m``: largest growth of the error within a
     second; ``bend_deg``: bend of the assembled cloud; ``turned_mean_deg`` and ``turned_final_deg``: angle between
-    estimated and true attitude.
+    estimated and true attitude. Raises `InputError` for fewer than two scans.
     """
     stamp_s, path = estimate.corrected.stamp_s, truth.trajectory
+    if len(stamp_s) < 2:
+        raise InputError(f"estimate: {len(stamp_s)} poses; expected at least two to diagnose")
     error, paired = position_error_m(estimate.corrected, path), estimate.matches > 0
     lost, scans_per_s = ~paired[1:], max(1, round((len(stamp_s) - 1) / max(stamp_s[-1] - stamp_s[0], 1e-9)))
     growth, raw_growth = (np.diff(each) / np.diff(stamp_s) for each in (error, position_error_m(estimate.prior, path)))
     true = path.at(stamp_s).T_world_drone[:, :3, :3]
     cosine = 0.5 * (np.einsum("nij,nij->n", true, estimate.corrected.T_world_drone[:, :3, :3]) - 1)
     rotation_error_deg = np.degrees(np.arccos(np.clip(cosine, -1, 1)))
+    clouds = paired_clouds(flight, estimate, truth, preprocess)
     try:
-        bend_deg = bend(*paired_clouds(flight, estimate, truth, preprocess))["bend_deg"]
-    except ValueError:  # too few points to fit
+        bend_deg = bend(*clouds)["bend_deg"]
+    except InputError:  # too few points to fit
         bend_deg = math.nan
 
     def mean(values: np.ndarray, where: np.ndarray, of_none: float = math.nan) -> float:

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from steelnb.core.arguments import checks_arguments
 from steelnb.core.checks import checked_array, checked_number, checked_shape
+from steelnb.core.errors import InputError
 from steelnb.core.types import Array, IntArray, Segments
 from steelnb.simulation.truth import SCAN_RETURNS_MIN, SliceCounter, Visibility
 
@@ -41,6 +42,15 @@ class Match:
         return self.member >= 0
 
 
+def checked_axes(axes: Array) -> Array:
+    """Axes of members ``(M, 2, 3)``, metres, of some length. Raises `InputError`."""
+    axes = checked_array(axes, "axes", ("M", 2, 3))
+    points = np.flatnonzero((axes[:, 0] == axes[:, 1]).all(axis=1))
+    if len(points):
+        raise InputError(f"axes[{points[0]}]: both ends at {axes[points[0], 0].tolist()}; expected two different ends")
+    return axes
+
+
 def match_members(
     segments: Segments, axes: Array, angle_max_rad: float = ANGLE_MAX_RAD, distance_max_m: float = DISTANCE_MAX_M
 ) -> Match:
@@ -50,7 +60,7 @@ def match_members(
     axis within ``distance_max_m``, and its projection at most ``distance_max_m`` beyond the ends. The segment belongs
     to the member with most of its samples, if these are at least half of them; among equals, to the nearest.
     """
-    start = axes[:, 0]
+    start = checked_axes(axes)[:, 0]
     length = np.linalg.norm(axes[:, 1] - start, axis=1)
     axis = (axes[:, 1] - start) / length[:, None]
     cosine = np.clip(np.abs(segments.direction @ axis.T), 0, 1)
@@ -111,7 +121,7 @@ def score_segments(
     parts of each member, from its first end to its second, which must be covered, default all. Raises `InputError`.
     """
     angle_max_rad = checked_number(angle_max_rad, "angle_max_rad", 0, math.pi / 2)
-    axes = checked_array(axes, "axes", ("M", 2, 3))
+    axes = checked_axes(axes)
     match = match_members(segments, axes, angle_max_rad)
     right, length = match.right, np.linalg.norm(axes[:, 1] - axes[:, 0], axis=1)
     covered, grid, duplicates = np.zeros((len(axes), PARTS), dtype=bool), (np.arange(PARTS) + 0.5) / PARTS, 0
@@ -157,10 +167,12 @@ def seen_members(axes: Array, points: Array, member: IntArray) -> SeenMembers:
 
     ``member (N,)``: the member of each point, negative for a plate. The axis of an angle section is its heel, which is
     not visible from outside. A correct method finds a line in the middle of the visible surface, up to half a flange
-    from it. A part is observed if it is within half of `GAP_MAX_M` of a point, along the axis.
+    from it. A part is observed if it is within half of `GAP_MAX_M` of a point, along the axis. Raises `InputError`.
     """
-    axes, points = checked_array(axes, "axes", ("M", 2, 3)), checked_array(points, "points", ("N", 3))
+    axes, points = checked_axes(axes), checked_array(points, "points", ("N", 3))
     member, counter = checked_shape(member, "member", (len(points),)), SliceCounter(axes)
+    if member.max(initial=-1) >= len(axes):
+        raise InputError(f"member: {member.max()}; expected less than the number of axes, {len(axes)}")
     points, member = points[member >= 0], member[member >= 0]
     counter.add(points, member)
     observed_axes, seen = axes.copy(), np.zeros((len(axes), PARTS), dtype=bool)

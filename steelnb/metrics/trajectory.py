@@ -21,7 +21,8 @@ is longer. Pairs across a gap are left out."""
 
 @checks_arguments
 def position_error_m(estimate: Trajectory, truth: Trajectory) -> Array:
-    """Distance ``(N,)`` between estimated and true position at the stamps of the estimate."""
+    """Distance ``(N,)`` between estimated and true position at the stamps of the estimate, metres. Raises `InputError`
+    if the truth has no pose at one of them."""
     return np.asarray(np.linalg.norm(estimate.position - truth.at(estimate.stamp_s).position, axis=1))
 
 
@@ -30,8 +31,8 @@ def score_trajectory(estimate: Trajectory, truth: Trajectory) -> dict[str, float
     """Absolute trajectory error and relative pose error of an estimate, metres.
 
     ``ate_rmse_m``, ``error_mean_m``, ``error_max_m``, ``error_final_m`` of the position, and ``rpe_rmse_m`` of the
-    translation over `RPE_S`, all pairs (`pairs_in_time`); without a pair, it is left out. Raises ValueError if the
-    truth has no pose at a stamp of the estimate, and `InputError` for fewer than two poses.
+    translation over `RPE_S`, all pairs (`pairs_in_time`); without a pair, it is left out. Raises `InputError` if the
+    truth has no pose at a stamp of the estimate, and for fewer than two poses.
 
     Source: Sturm et al., "A benchmark for the evaluation of RGB-D SLAM systems", IROS 2012, whose tool
     ``evaluate_rpe.py`` also pairs by time. evo pairs by a number of poses; on regular sampling both are the same.
@@ -75,8 +76,8 @@ def pairs_in_time(stamp_s: Array) -> tuple[IntArray, IntArray, Array]:
 def score_gaps(estimate: Trajectory, truth: Trajectory, blind_s: Sequence[tuple[float, float]]) -> dict[str, float]:
     """Position errors, metres, of a flight without scans in the intervals ``blind_s``.
 
-    ``ate_outside_gaps_rmse_m`` excludes the intervals and `GRACE_S` after each; ``error_after_gaps_max_m``: maximum
-    error in the second after that, NaN without an interval.
+    ``ate_outside_gaps_rmse_m`` excludes the intervals and `GRACE_S` after each, NaN if nothing is left;
+    ``error_after_gaps_max_m``: maximum error in the second after that, NaN without an interval.
     """
     error = position_error_m(estimate, truth)
     stamp = estimate.stamp_s
@@ -84,7 +85,8 @@ def score_gaps(estimate: Trajectory, truth: Trajectory, blind_s: Sequence[tuple[
     for first, last in checked_array(blind_s if np.size(blind_s) else np.zeros((0, 2)), "blind_s", ("N", 2)):
         inside |= (stamp >= first) & (stamp < last + GRACE_S)
         after |= (stamp >= last + GRACE_S) & (stamp < last + GRACE_S + 1.0)
+    outside = error[~inside]
     return {
-        "ate_outside_gaps_rmse_m": float(np.sqrt((error[~inside] ** 2).mean())),
+        "ate_outside_gaps_rmse_m": float(np.sqrt((outside**2).mean())) if len(outside) else float("nan"),
         "error_after_gaps_max_m": float(error[after].max()) if after.any() else float("nan"),
     }

@@ -5,6 +5,7 @@ from collections.abc import Iterable, Sequence
 import pandas as pd
 
 from steelnb import experiment
+from steelnb.core.errors import InputError
 from steelnb.core.types import Array
 from steelnb.metrics import bend
 from steelnb.metrics.clouds import paired_clouds
@@ -32,6 +33,6 @@ def cloud_bends(clouds: Iterable[tuple[Array, Array]], tower: Tower) -> pd.DataF
     for pair in clouds:
         try:
             rows.append(bend(*pair, axis))
-        except ValueError:
+        except InputError:
             rows.append({})
     return pd.DataFrame(rows, columns=BENDS)

@@ -14,7 +14,6 @@ from steelnb.core.errors import InputError
 from steelnb.notebook.cases import report_cases, with_earlier_runs
 from steelnb.notebook.results import RUNS, find_root
 from steelnb.settings import METHODS, TOWERS, ExperimentSettings
-from steelnb.settings.experiment import SCANS_MIN
 from steelnb.settings.noise import at_level
 
 PRESET_ARGUMENTS = "trajectory", "noise", "method", "sensor", "seed", "duration_s", "overrides", "tower"
@@ -49,18 +48,7 @@ def _check_presets(values: Values) -> None:
         given = dict(zip(names, combination, strict=True))
         if "level" in values:
             given["noise"] = at_level(given["noise"], values["level"])
-        settings = ExperimentSettings.preset(**given)
-        scanned_s, rate_hz = settings.flight.duration_s - settings.tof.start_s, settings.tof.rate_hz
-        if not settings.tof.samples and scanned_s * rate_hz <= SCANS_MIN - 1:  # the last step has no scan
-            raise InputError(
-                f"duration_s = {settings.flight.duration_s:g}: expected more than"
-                f" {settings.tof.start_s + (SCANS_MIN - 1) / rate_hz:g} s, for {SCANS_MIN} scans"
-            )
-
-
-def _check_tower(values: Values) -> None:
-    if values["tower"] is not None and "tower" in values.get("overrides", {}):
-        raise InputError(f"tower = {values['tower']!r} and overrides = {values['overrides']}: expected one tower")
+        ExperimentSettings.preset(**given)
 
 
 def _check_level(values: Values) -> None:
@@ -164,7 +152,6 @@ def check_once(name: str, value: list[Any]) -> None:
 
 
 CHECKS: Mapping[str, Callable[[Values], None]] = {
-    "tower": _check_tower,
     "level": _check_level,
     "correction": _check_correction,
     "methods": _check_methods,

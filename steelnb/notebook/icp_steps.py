@@ -6,6 +6,7 @@ import numpy as np
 from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
+from steelnb.core.errors import InputError
 from steelnb.core.geometry import transform_points
 from steelnb.core.types import Array, Flight, IntArray
 from steelnb.plots import BLACK, GREY, ORANGE, Figure, gather_legend
@@ -32,14 +33,14 @@ class IcpStep(NamedTuple):
 def icp_steps(source: Array, target: Array, limit_m: float, rounds: int = 50) -> dict[str, IcpStep]:
     """Register a source ``(N, 3)`` to a target ``(M, 3)`` by point-to-point ICP (Besl, McKay 1992), with pairs up to
     ``limit_m`` apart. Returns the source with its pairs after each step of the first round, and after ``rounds``.
-    Raises ValueError without a pair.
+    Raises `InputError` without a pair.
     """
     tree, steps = KDTree(target), {}
     for k in range(rounds):
         distance_m, match = tree.query(source, distance_upper_bound=limit_m)
         paired = np.flatnonzero(np.isfinite(distance_m)).astype(np.int64)
         if not len(paired):
-            raise ValueError(f"no pair within {limit_m} m")
+            raise InputError(f"no pair within {limit_m} m")
         matched = target[match[paired]]
         motion = least_squares_motion(source[paired], matched)
         if k == 0:

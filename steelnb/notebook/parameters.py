@@ -12,7 +12,9 @@ from typing import Annotated, Any
 
 from pydantic import Field, create_model
 
+from steelnb.core.checks import checked_kind
 from steelnb.core.errors import InputError
+from steelnb.core.files import check_writable
 from steelnb.notebook.combinations import check_combinations, check_names, check_once
 from steelnb.notebook.results import EXPERIMENTS_FILE, find_root
 from steelnb.settings import Settings
@@ -44,7 +46,8 @@ def validate() -> None:
     """Check the parameters of the running notebook, and convert numbers to the types of their defaults.
 
     Call it first after the parameters: papermill itself only warns of an unknown name and would run the defaults. Does
-    nothing without IPython, or in a notebook without a parameter `FOLDER`. Raises `InputError`.
+    nothing without IPython, or in a notebook without a parameter `FOLDER`. Raises `InputError`, and `OutputError` for a
+    folder of results that cannot be written.
     """
     cells, names = _cells()
     if cells is None:
@@ -54,6 +57,9 @@ def validate() -> None:
     tracked = {} if injected else next(iter(_tracked(own).values()), {})
     defaults = {**{name: names[name] for name in assigned(own)}, **(literals(own) if injected else tracked)}
     names.update(check_parameters("parameters", {name: names[name] for name in given}, defaults))
+    folder = checked_kind(names[FOLDER], FOLDER, str | Path)
+    if str(folder):
+        check_writable(folder)
 
 
 def note() -> None:

@@ -70,6 +70,9 @@ class BaseOdometry(ABC):
             )
         self.T_drone_sensor = checked_pose(np.eye(4) if T_drone_sensor is None else T_drone_sensor, "T_drone_sensor")
 
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({self.settings.method!r})"
+
     def update(self, scan: Scan | Array, T_world_drone_prior: Array) -> OdometryStep:
         """Correct the pose at one scan, and add the scan to the map; see `Odometry.update`."""
         if not isinstance(scan, Scan):

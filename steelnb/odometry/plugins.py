@@ -38,16 +38,23 @@ def load_odometry(name: str) -> Callable[..., Odometry]:
     kind = classes[class_name]
     if not callable(getattr(kind, "update", None)):
         raise InputError(f"{name}: no method 'update'; expected update(scan, T_world_drone_prior) -> OdometryStep")
-    needed = {each.name for each in _parameters(kind) if each.default is each.empty and "VAR" not in each.kind.name}
-    if unknown := needed - set(GIVEN):
-        raise InputError(f"{name}: its constructor needs {', '.join(sorted(unknown))}; expected {', '.join(GIVEN)}")
+    _check_constructor(kind, name)
     return kind  # type: ignore[no-any-return]
 
 
 def make_own(own: Callable[..., Odometry], flight: Flight) -> Odometry:
-    """A new odometry of a user's class, given the parts of the flight that its constructor takes by name."""
+    """A new odometry of a user's class, given the parts of the flight that its constructor takes by name. Raises
+    `InputError` if that requires others."""
+    _check_constructor(own, getattr(own, "__name__", "own"))
     names = [each.name for each in _parameters(own)]
     return own(**{name: getattr(flight, name) for name in GIVEN if name in names})
+
+
+def _check_constructor(own: Callable[..., Odometry], name: str) -> None:
+    """Raise `InputError` if a constructor requires arguments other than `GIVEN`."""
+    needed = {each.name for each in _parameters(own) if each.default is each.empty and "VAR" not in each.kind.name}
+    if unknown := needed - set(GIVEN):
+        raise InputError(f"{name}: its constructor needs {', '.join(sorted(unknown))}; expected {', '.join(GIVEN)}")
 
 
 def _parameters(own: Callable[..., Odometry]) -> Iterable[inspect.Parameter]:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from steelnb.core.arguments import checks_arguments
-from steelnb.core.checks import checked_kind, checked_points, checked_pose, shown
+from steelnb.core.checks import SAME_S, checked_kind, checked_points, checked_pose, shown
 from steelnb.core.errors import InputError
 from steelnb.core.estimates import Estimate, OdometryStep
 from steelnb.core.types import Flight, Scan, Segments, Trajectory
@@ -28,8 +28,8 @@ def run(flight: Flight, odometry: Odometry, on_step: OnStep | None = None, befor
     on_step : called after every scan with its number, the scan and its `OdometryStep`; its time is not measured.
     before : another flight, which the odometry corrects first; its steps are dropped, and what it has learnt stays.
 
-    Raises `InputError` if other scans are read than the flight has poses for, and if an update returns no
-    `OdometryStep` or one that is not valid; the message names the class and the scan.
+    Raises `InputError` if other scans are read than the flight has poses for, by number or by stamp, and if an update
+    returns no `OdometryStep`, one that is not valid or one of another stamp; the message names the class and the scan.
     """
     if isinstance(odometry, type) or not callable(getattr(odometry, "update", None)):
         raise InputError(f"odometry = {shown(odometry)}: expected an object with a method update, as of make_odometry")
@@ -42,12 +42,14 @@ def run(flight: Flight, odometry: Odometry, on_step: OnStep | None = None, befor
         if k == len(flight):
             raise InputError(f"{flight.name}: more than {k} scans could be read; expected {k}, one per pose")
         checked_kind(scan, f"{flight.name}, scan {k}", Scan)
+        _check_stamp(scan.stamp_s, f"{flight.name}, scan {k}", float(flight.prior.stamp_s[k]), "its pose")
         begin = time.perf_counter()
         with _naming(odometry, k):
             step = odometry.update(scan, flight.prior.T_world_drone[k].copy())  # which it may change
             update_s[k] = time.perf_counter() - begin
             # Checked again, as the odometry may have changed the array since.
             T_world_drone[k] = checked_pose(checked_kind(step, "its result", OdometryStep).T_world_drone, "its pose")
+            _check_stamp(step.stamp_s, "its result", scan.stamp_s, "the scan")
         steps.append(step)
         reason.append("" if step.used else scan.fault or step.reason or "not used")
         if on_step:
@@ -66,6 +68,12 @@ def run(flight: Flight, odometry: Odometry, on_step: OnStep | None = None, befor
         update_s=update_s,
         unobserved=np.array([s.unobserved for s in steps], dtype=np.int64),
     )
+
+
+def _check_stamp(stamp_s: float, name: str, due_s: float, of: str) -> None:
+    """Raise `InputError` unless a stamp is that of something else, to within `SAME_S`."""
+    if not abs(stamp_s - due_s) <= SAME_S:
+        raise InputError(f"{name}: at {stamp_s!r} s, {stamp_s - due_s:.6g} s after {of}; expected the same stamp")
 
 
 def _map_of(odometry: Odometry, method: str, default: Any) -> Any:

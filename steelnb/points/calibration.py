@@ -45,7 +45,7 @@ def calibrated_scan(scan: Scan, scale: float, offset_m: float) -> Scan:
         return scan
     range_m = np.linalg.norm(scan.points, axis=-1, keepdims=True)
     share = corrected_ranges(range_m, scale, offset_m) / np.where(range_m > 0, range_m, 1.0)
-    return Scan(scan.stamp_s, scan.points * np.where(range_m == 0, 1.0, share), scan.fault)
+    return Scan(scan.stamp_s, scan.points * share, scan.fault)
 
 
 class CalibratedScans(Sequence[Scan]):

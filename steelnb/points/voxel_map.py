@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from steelnb.core.arguments import checks_arguments
-from steelnb.core.checks import checked_cloud, checked_number, shown
+from steelnb.core.checks import checked_array, checked_cloud, checked_kind, checked_number
 from steelnb.core.errors import InputError
 from steelnb.core.types import Array, IntArray
 from steelnb.points import voxel_kernels as kernels
@@ -49,6 +49,10 @@ class VoxelMap:
     def __len__(self) -> int:
         return self._size
 
+    def __repr__(self) -> str:
+        return f"VoxelMap({self._size} voxels of {self.voxel_m:g} m)"
+
+    @checks_arguments
     def insert(self, points: Array, weight: Array | None = None) -> None:
         """Add points ``(N, 3)`` in metres with weights ``(N,)``, default 1.
 
@@ -94,8 +98,11 @@ class VoxelMap:
         return self._moment[: self._size, 0].copy()
 
     def near(self, centre: Array, radius_m: float) -> IntArray:
-        """Slots of the voxels that overlap the cube of half-width ``radius_m`` about ``centre (3,)``, metres."""
-        low, high = (np.floor((np.asarray(centre) + side * radius_m) / self.voxel_m) for side in (-1, 1))
+        """Slots of the voxels that overlap the cube of half-width ``radius_m`` about ``centre (3,)``, metres. Raises
+        `InputError`."""
+        centre = checked_array(centre, "centre", (3,))
+        radius_m = checked_number(radius_m, "radius_m", 0, infinite=True)
+        low, high = (np.floor((centre + side * radius_m) / self.voxel_m) for side in (-1, 1))
         low, high = (np.clip(side, -kernels.REACH, kernels.REACH).astype(np.int64) for side in (low, high))
         return kernels.near(self.keys(), low, high)
 
@@ -118,6 +125,7 @@ class VoxelMap:
         It is −1 if none is within ``limit_m``. ``state`` of the last call for the same source saves searches, whose
         number is returned.
         """
+        checked_kind(state, "state", SearchState, "SearchState.of(len(source))")
         n = len(source)
         if [np.shape(each) for each in (source, match, *state)] != [(n, 3), (n,), (n,), (n,), (n, 3)]:
             raise InputError(
@@ -130,9 +138,12 @@ class VoxelMap:
 
     def _checked(self, slots: IntArray, low: int) -> IntArray:
         """Slots of this map. Raises `InputError`: compiled code would read beyond its arrays."""
-        slots = np.asarray(slots)
-        if slots.dtype.kind not in "iu" or (slots.size and not low <= slots.min() <= slots.max() < self._size):
-            raise InputError(f"slots: {shown(slots.tolist())}; expected whole numbers from {low} to {self._size - 1}")
+        slots = np.asarray(slots) if np.size(slots) else np.zeros(0, dtype=np.int64)
+        expected = f"whole numbers from {low} to {self._size - 1}"
+        if slots.dtype.kind not in "iu" or slots.ndim != 1:
+            raise InputError(f"slots: {slots.dtype} of shape {slots.shape}; expected {expected} in an array (N,)")
+        if len(slots) and not low <= slots.min() <= slots.max() < self._size:
+            raise InputError(f"slots: {slots[(slots < low) | (slots >= self._size)][0]}; expected {expected}")
         return slots
 
     def link(self) -> None:

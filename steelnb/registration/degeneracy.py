@@ -41,12 +41,13 @@ def unobserved_shifts(covariance: Array, match: IntArray, normals_min: float) ->
 def unobserved_at(T_target_source: Array, source: Array, target: Target, limit_m: float) -> Array:
     """`unobserved_shifts` of a ``source (N, 3)`` at a pose in a target, of the pairs within ``limit_m``.
 
-    At most `SAMPLE` points of the source are used, evenly picked. Normals are those of the target.
+    At most `SAMPLE` points of the source are used, evenly picked. Normals are those of the target. Without a pair, no
+    direction is observed.
     """
     planes = target if target.filled else Target.with_planes(target.tree)
     picked = np.linspace(0, len(source) - 1, min(len(source), SAMPLE)).astype(int)
     match = planes.search(source[picked], limit_m)(T_target_source)
-    return unobserved_shifts(planes.covariance, match, NORMALS_MIN)
+    return unobserved_shifts(planes.covariance, match, NORMALS_MIN) if (match >= 0).any() else np.eye(3)
 
 
 def without_shifts(free: Array, unobserved: Array) -> Array:

@@ -51,7 +51,7 @@ def icp_as_pcl(
     below 3.2 cm and 2.6°. It also stops when the mean squared error of the pairs changes by less than the fraction
     ``mse_change_min``. Reaching ``iterations_max`` counts as converged. Raises `InputError`.
     """
-    source, T, previous_mse_m2 = _checked(source, target, max_correspondence_m, iterations_max), np.eye(4), 0.0
+    source, T, previous_mse_m2 = _checked(source, target, max_correspondence_m, iterations_max, epsilon), np.eye(4), 0.0
     search = target.search(source, max_correspondence_m)
     for iteration in range(1, iterations_max + 1):
         match = search(T)
@@ -87,7 +87,7 @@ def gicp_as_pcl(
     start in directions with few normals. `minimise` also stops when single precision hides the slope (`mean_cost`).
     Reaching ``iterations_max`` counts as converged. Raises `InputError`.
     """
-    source, T, x = _checked(source, target, max_correspondence_m, iterations_max), np.eye(4), np.zeros(6)
+    source, T, x = _checked(source, target, max_correspondence_m, iterations_max, epsilon), np.eye(4), np.zeros(6)
     covariance = checked_array(covariance, "covariance", (len(source), 6))
     if len(target.covariance) != len(target.point):
         raise InputError("target: without covariances; expected make_target(cloud, 'gicp')")
@@ -107,11 +107,14 @@ def gicp_as_pcl(
     return Aligned(T, True, iteration, len(chosen))
 
 
-def _checked(source: Array, target: AnyTarget, max_correspondence_m: float, iterations_max: int) -> Array:
+def _checked(
+    source: Array, target: AnyTarget, max_correspondence_m: float, iterations_max: int, epsilon: float
+) -> Array:
     """The source, if all arguments are in range, else an `InputError`."""
     checked_kind(target, "target", Target | VoxelTarget, "make_target")
     checked_number(max_correspondence_m, "max_correspondence_m", above=0)
     checked_integer(iterations_max, "iterations_max", 1)
+    checked_number(epsilon, "epsilon", 0)
     return checked_array(source, "source", ("N", 3))
 
 

@@ -3,7 +3,7 @@
 import ast
 import json
 import tomllib
-from typing import Annotated, Any, Self
+from typing import Annotated, Any, ClassVar, Self, get_args
 
 import numpy as np
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
@@ -38,10 +38,14 @@ class Settings(BaseModel):
     """Base of all settings: frozen, strict, without unknown keys. Bad values raise a one-line `InputError`."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
+    of_preset: ClassVar[tuple[str, ...]] = ()
+    """Settings that `override` does not change, since a preset derives others from them."""
+    lists_as: ClassVar[type] = list
+    """What lists, as in JSON and TOML, and arrays become: tuples where the settings are tuples."""
 
     def __init__(self, **values: Any) -> None:
         try:
-            super().__init__(**as_plain(values))
+            super().__init__(**as_plain(values, self.lists_as))
         except ValidationError as fault:
             raise InputError(describe_fault(type(self), fault)) from None
 
@@ -64,13 +68,34 @@ class Settings(BaseModel):
         for path, value in overrides.items():
             checked_kind(path, "a name in overrides", str)
             name, _, rest = path.partition(".")
-            if rest and name in type(self).model_fields and isinstance(getattr(self, name), Settings):
+            known = name in type(self).model_fields
+            old = getattr(self, name) if known else None
+            if path in self.of_preset and not (isinstance(value, str) and value == old):
+                raise InputError(f"{path} = {shown(value)}: this is {old!r}; choose it by its preset")
+            if rest and isinstance(old, Settings):
                 inner.setdefault(name, {})[rest] = value
+            elif rest and known and old is None and name not in overrides and _may_be_table(type(self), name):
+                raise InputError(f"{path} = {shown(value)}: {name} is None; expected all of it, as {name} = {{...}}")
             else:
-                changes[path] = as_tuples(value)
+                changes[path] = value
         changed = self.replace(**changes) if changes.keys() & inner.keys() else self
         tables = {name: getattr(changed, name).override(some) for name, some in inner.items()}
         return changed.replace(**{**changes, **tables})
+
+
+class FrozenDict(dict[Any, Any]):
+    """A table within frozen settings: it does not change, and it can be hashed."""
+
+    def _refuse(self, *_: Any, **__: Any) -> Any:
+        raise InputError("settings do not change; override({...}) returns a copy")
+
+    __setitem__ = __delitem__ = __ior__ = update = pop = popitem = clear = setdefault = _refuse  # type: ignore[assignment]
+
+    def __hash__(self) -> int:  # type: ignore[override]
+        return hash(frozenset(self.items()))
+
+    def __reduce__(self) -> tuple[Any, ...]:  # by default, items are set one by one
+        return FrozenDict, (dict(self),)
 
 
 OrNone = BeforeValidator(lambda value: None if value is False else value)
@@ -79,12 +104,18 @@ OrNone = BeforeValidator(lambda value: None if value is False else value)
 
 def describe_fault(kind: type[Settings], fault: ValidationError) -> str:
     """The first fault of a pydantic error as one line: the setting, its value, and what was expected."""
-    first = fault.errors()[0]
+    faults = fault.errors()
+    # A misspelt name is the reason why another one is missing.
+    first = next((each for each in faults if each["type"] == "extra_forbidden"), faults[0])
     message = first["msg"].removeprefix("Value error, ")
     message = f"{message[:1].lower()}{message[1:]}"
     if not first["loc"]:
         return f"{kind.__name__}: {message}"
-    name = ".".join(str(part) for part in first["loc"])
+    loc = first["loc"]
+    if first["type"] == "missing" and isinstance(loc[-1], int):  # of the values of a tuple
+        count = loc[-1] + sum(each["loc"][:-1] == loc[:-1] for each in faults)
+        loc, message = loc[:-1], f"expected {count} values"
+    name = ".".join(str(part) for part in loc)
     if first["type"] == "extra_forbidden":
         known, family = setting_names(kind), getattr(kind, "family", None)
         has = f"the family {family!r} has" if family else "expected one of"
@@ -92,20 +123,22 @@ def describe_fault(kind: type[Settings], fault: ValidationError) -> str:
     return f"{kind.__name__}: {name} = {shown(first['input'], _SHOWN)}: {message}"
 
 
-def as_tuples(value: Any) -> Any:
-    """Convert the lists of JSON and TOML, also within tables, to the tuples of settings."""
+def as_plain(value: Any, lists_as: type = tuple) -> Any:
+    """Convert NumPy's numbers, texts and arrays, also within tables, lists and tuples, to Python's. Lists and arrays
+    become ``lists_as``."""
     if isinstance(value, dict):
-        return {name: as_tuples(item) for name, item in value.items()}
-    return tuple(as_tuples(item) for item in value) if isinstance(value, list) else value
+        return {name: as_plain(item, lists_as) for name, item in value.items()}
+    value = value.tolist() if isinstance(value, np.generic | np.ndarray) else value
+    if isinstance(value, list | tuple):
+        kind = tuple if isinstance(value, tuple) else lists_as
+        return kind(as_plain(item, lists_as) for item in value)
+    return value
 
 
-def as_plain(value: Any) -> Any:
-    """Convert NumPy's scalars, also within tables and tuples, to Python's numbers and texts."""
-    if isinstance(value, dict):
-        return {name: as_plain(item) for name, item in value.items()}
-    if isinstance(value, tuple):
-        return tuple(as_plain(item) for item in value)
-    return value.item() if isinstance(value, np.generic) else value
+def _may_be_table(kind: type[Settings], name: str) -> bool:
+    """Whether an optional setting is a table of settings."""
+    kinds = get_args(kind.model_fields[name].annotation)
+    return any(isinstance(each, type) and issubclass(each, Settings) for each in kinds)
 
 
 def setting_names(kind: type[Settings]) -> list[str]:

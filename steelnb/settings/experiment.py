@@ -2,20 +2,22 @@
 
 from typing import Annotated, Any, Self
 
-from pydantic import model_validator
+import numpy as np
+from pydantic import BeforeValidator, model_validator
 
 from steelnb.core import rng
-from steelnb.core.checks import checked_kind
+from steelnb.core.checks import checked_kind, shown
+from steelnb.core.errors import InputError
 from steelnb.settings.base import OrNone, SeedOrReport, Settings
 from steelnb.settings.flight import REST_S, FlightSettings, TrajectoryName
 from steelnb.settings.noise import Noise
-from steelnb.settings.odometry import Family, OdometrySettings, OrbSettings, ReportCloudSettings
+from steelnb.settings.odometry import Family, OdometrySettings, OrbSettings, ReportCloudSettings, of_its_method
 from steelnb.settings.report_plots import STEP_S, ReportPlot
 from steelnb.settings.sensors import ImuSettings, TofSettings
 from steelnb.settings.tower import TowerSettings
 
-SCANS_MIN = 2
-"""The first scan becomes the map, so only the second one can have an error."""
+SCANS_MIN, SEED = 2, 1
+"""The first scan becomes the map, so only the second one can have an error; and the seed that is not given."""
 
 
 class ExperimentSettings(Settings):
@@ -25,6 +27,8 @@ class ExperimentSettings(Settings):
     `Noise.parse` explains ``noise_name``.
     """
 
+    of_preset = ("sensor",)
+
     sensor: str
     noise_name: str
     seed: SeedOrReport
@@ -32,7 +36,7 @@ class ExperimentSettings(Settings):
     flight: FlightSettings
     tof: TofSettings
     imu: Annotated[ImuSettings | None, OrNone] = None
-    odometry: Family
+    odometry: Annotated[Family, BeforeValidator(of_its_method)]
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
@@ -42,8 +46,6 @@ class ExperimentSettings(Settings):
         noise = self.noise  # raises for an unknown name
         if self.seed == "report":
             noise.check_report()
-        if isinstance(self.tof.samples, str):
-            self._has_samples_of(self.tof.samples)
         own = self.tof.samples if isinstance(self.tof.samples, tuple) else ()
         if own and own[-1] * STEP_S > self.flight.duration_s:
             raise ValueError(
@@ -54,22 +56,26 @@ class ExperimentSettings(Settings):
             raise ValueError(
                 f"tof.start_s = {self.tof.start_s:g}: expected less than the flight's {self.flight.duration_s:g} s"
             )
-        second_s = self.tof.start_s + 1 / self.tof.rate_hz
-        if not self.tof.samples and not second_s <= self.flight.duration_s:
-            raise ValueError(
-                f"flight.duration_s = {self.flight.duration_s:g}: expected two scans, so at least {second_s:.4g} s"
-            )
+        self._check_scans()
         return self
 
-    def _has_samples_of(self, plot: str) -> None:
-        """Raise ValueError if the flight ends before, or the sensor starts after, the first two scans of a plot."""
-        time_s = self.tof.sample_steps() * STEP_S
-        left_s = time_s[(time_s >= self.tof.start_s) & (time_s <= self.flight.duration_s)]
-        if len(left_s) < SCANS_MIN:
+    def _check_scans(self) -> None:
+        """Raise ValueError if the flight ends before, or the sensor starts after, its first two scans."""
+        start_s, duration_s, samples = self.tof.start_s, self.flight.duration_s, self.tof.samples
+        first_s = start_s + np.arange(SCANS_MIN) / self.tof.rate_hz
+        steps = self.tof.sample_steps() if samples else np.round(first_s / STEP_S)
+        # No scan is taken at the last step.
+        left = np.count_nonzero((steps * STEP_S >= start_s - STEP_S / 2) & (steps < round(duration_s / STEP_S)))
+        if left < SCANS_MIN:
+            time_s = steps * STEP_S
+            if not samples:
+                raise ValueError(
+                    f"flight.duration_s = {duration_s:g}: expected two scans, so more than {time_s[-1]:g} s"
+                )
             raise ValueError(
-                f"flight.duration_s = {self.flight.duration_s:g} and tof.start_s = {self.tof.start_s:g} leave"
-                f" {len(left_s)} scans of the plot {plot!r}, which begins at {time_s[0]:g} s and ends at"
-                f" {time_s[-1]:g} s: expected at least {SCANS_MIN}"
+                f"flight.duration_s = {duration_s:g} and tof.start_s = {start_s:g} leave {left} scans of tof.samples ="
+                f" {shown(samples, 40)}, which begins at {time_s[0]:g} s and ends at {time_s[-1]:g} s: expected"
+                " two scans"
             )
 
     @property
@@ -84,7 +90,7 @@ class ExperimentSettings(Settings):
         noise: str = "random-walk",
         method: str = "least_squares",
         sensor: str = "starling2",
-        seed: rng.Seed = 1,
+        seed: rng.Seed = SEED,
         duration_s: float | None = None,
         overrides: dict[str, Any] | None = None,
         tower: str | None = None,
@@ -103,7 +109,9 @@ class ExperimentSettings(Settings):
         flight, imu = FlightSettings.preset(trajectory, duration_s), ImuSettings.preset(sensor)
         if imu and trajectory in ("zigzag", "loops"):
             flight = flight.replace(still_s=REST_S)
-        settings = cls(
+        overrides = {} if overrides is None else overrides
+        _check_given_once(overrides, seed=None if isinstance(seed, int) and seed == SEED else seed, tower=tower)
+        settings = cls.model_construct(  # checked when they are changed
             sensor=sensor,
             noise_name=noise,
             seed=seed,
@@ -113,7 +121,7 @@ class ExperimentSettings(Settings):
             imu=imu,
             odometry=odometry,
         )
-        return settings.override({} if overrides is None else overrides)
+        return settings.override(overrides)
 
     @classmethod
     def report(
@@ -148,7 +156,9 @@ class ExperimentSettings(Settings):
             settings = settings.override({"flight.still_s": plot.still_s})
         if isinstance(settings.odometry, ReportCloudSettings):
             settings = settings.override({"broken_off_s": plot.broken_off_s})
-        return settings.override({} if overrides is None else overrides)
+        overrides = {} if overrides is None else overrides
+        _check_given_once(overrides, seed=None if isinstance(seed, str) else seed, tower=tower)
+        return settings.override(overrides)
 
     @classmethod
     def table_of(cls, name: str) -> str:
@@ -162,12 +172,19 @@ class ExperimentSettings(Settings):
         The tables of the world are ``tower``, ``flight``, ``tof`` and ``imu``. All other names belong to the odometry.
         ``tower`` may be the name of a preset.
         """
-        checked_kind(overrides, "overrides", dict)
-        if isinstance(overrides.get("tower"), str):
-            overrides = {**overrides, "tower": TowerSettings.preset(overrides["tower"])}
-        return super().override(
-            {
-                path if path.partition(".")[0] == self.table_of(path) else f"odometry.{path}": value
-                for path, value in overrides.items()
-            }
-        )
+        full = {}
+        for path, value in checked_kind(overrides, "overrides", dict).items():
+            table = self.table_of(checked_kind(path, "a name in overrides", str))
+            named = path == "tower" and isinstance(value, str)
+            full[path if path.partition(".")[0] == table else f"odometry.{path}"] = (
+                TowerSettings.preset(value) if named else value
+            )
+        return super().override(full)
+
+
+def _check_given_once(overrides: dict[str, Any], **arguments: Any) -> None:
+    """Raise `InputError` if an argument of a preset has another value in its overrides. None: not given, or usual."""
+    for name, value in arguments.items():
+        again = checked_kind(overrides, "overrides", dict).get(name, value)
+        if value is not None and np.any(again != value):
+            raise InputError(f"{name} = {shown(value)}, and {shown(again)} in the overrides: expected one {name}")

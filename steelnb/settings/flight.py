@@ -30,6 +30,8 @@ class FlightSettings(Settings):
     `ExperimentSettings.preset` lets ``zigzag`` and ``loops`` begin with `REST_S`. ``gust_sigma_m_s``: standard
     deviation of the gusts along each axis."""
 
+    lists_as = tuple
+
     trajectory: TrajectoryName = "zigzag"
     duration_s: Duration = 200.0
     still_s: NotNegative = 0.0
@@ -52,6 +54,10 @@ class FlightSettings(Settings):
         seconds = [seconds for *_, seconds in self.waypoints]
         if self.waypoints and (len(seconds) < 2 or seconds[0] != 0 or min(seconds[1:]) == 0):
             raise ValueError("waypoints: expected at least two, with 0 seconds to the first and more to all others")
+        if self.height_min_m > self.height_max_m:
+            raise ValueError(
+                f"height_min_m = {self.height_min_m:g} above height_max_m = {self.height_max_m:g}: expected it below"
+            )
         if self.still_s and self.trajectory == "planned":
             raise ValueError(f"still_s = {self.still_s:g}: a pilot steers a planned flight from the start; expected 0")
         end_s = self.still_s + sum(seconds)

@@ -15,7 +15,7 @@ class Noise:
     ``random_walk_m``: standard deviation of the step per axis (the report's Algorithm 1); ``constant_drift_m``: length
     of the constant step vector (0.83 of this with the seed ``report``); ``yaw_random_walk_rad``: standard deviation of
     the heading step; ``tilt_rad``: standard deviation of the slowly varying errors of roll and pitch, not in the
-    report.
+    report. Angles are at most π.
     """
 
     random_walk_m: float = 0.0
@@ -25,7 +25,10 @@ class Noise:
 
     def __post_init__(self) -> None:
         for name, level in vars(self).items():
-            checked_number(level, f"Noise.{name}", 0)
+            try:
+                checked_number(level, f"Noise.{name}", 0, math.pi if name.endswith("_rad") else math.inf)
+            except InputError as fault:
+                raise InputError(f"{fault} {'rad' if name.endswith('_rad') else 'm'}") from None
 
     @classmethod
     def parse(cls, text: str) -> "Noise":
@@ -53,9 +56,10 @@ class Noise:
                 values[key] = float(level) if level else default
             except ValueError:
                 raise InputError(f"noise = {text!r}: the level {level!r} is not a number") from None
-            if not 0 <= values[key] < math.inf:
-                raise InputError(f"noise = {text!r}: {key} = {values[key]}: expected a finite number of at least 0")
-        return cls(**values)
+        try:
+            return cls(**values)
+        except InputError as fault:
+            raise InputError(f"noise = {text!r}: {fault}") from None
 
     def check_report(self) -> None:
         """Raise `InputError` for noises that are not the report's: the seed ``report`` has no draws for them."""

@@ -5,7 +5,7 @@ from typing import Annotated, Any, ClassVar, Literal, Self, get_args
 
 from pydantic import AfterValidator, Field, model_validator
 
-from steelnb.core.checks import quoted, shown
+from steelnb.core.checks import quoted
 from steelnb.core.errors import InputError
 from steelnb.settings.base import NotNegative, OrNone, Positive, Settings
 from steelnb.settings.presets import method_preset, sensor_preset
@@ -32,6 +32,9 @@ class OdometrySettings(Settings):
     ``smooth``: adjust all poses and bars together after the last scan (`steelnb.fusion.adjustment.smooth`).
     """
 
+    of_preset = ("method",)
+    lists_as = tuple
+
     method: str
     preprocess: PreprocessSettings = PreprocessSettings()
     smooth: bool = False
@@ -42,12 +45,6 @@ class OdometrySettings(Settings):
         if type(self) is OdometrySettings:
             raise InputError("OdometrySettings: of no family; OdometrySettings.preset(method) gives those of a method")
         super().__init__(**values)
-
-    def override(self, overrides: dict[str, Any]) -> Self:
-        """As for all settings; the method stays, since its other settings depend on it."""
-        if isinstance(overrides, dict) and overrides.get("method", self.method) != self.method:
-            raise InputError(f"method = {shown(overrides['method'])}: this is {self.method!r}; choose it by its preset")
-        return super().override(overrides)
 
     def lowered(self, by_m: float) -> Self:
         """These settings for a world whose zero is ``by_m`` higher."""
@@ -214,3 +211,10 @@ Family = (
 )  # fmt: skip
 FAMILIES: dict[str, type[Family]] = {kind.family: kind for kind in get_args(Family)}
 """Family → its settings."""
+
+
+def of_its_method(value: Any) -> Any:
+    """A table of settings as those of its method's family, which tells the classes of `Family` apart."""
+    if not isinstance(value, dict):
+        return value
+    return FAMILIES[method_preset(value.get("method"), {})["family"]](**value)  # type: ignore[arg-type]

@@ -9,7 +9,7 @@ from typing import Any, TypeVar
 from steelnb.core.checks import guess, quoted, shown
 from steelnb.core.errors import InputError
 from steelnb.core.files import reading
-from steelnb.settings.base import Settings, as_tuples
+from steelnb.settings.base import Settings, as_plain
 
 PRESETS = Path(__file__).parent / "presets"
 SENSORS = tuple(sorted(path.stem for path in (PRESETS / "sensors").glob("*.toml")))
@@ -39,7 +39,7 @@ def sensor_preset(sensor: str) -> dict[str, Any]:
     """The tables of a sensor's preset or of a file ``FILE.toml``. Missing values come from the preset that ``based_on``
     names. Raises `InputError`."""
     if isinstance(sensor, str) and sensor.endswith(".toml"):
-        own = as_tuples(read_toml(Path(sensor), "a sensor's preset"))
+        own = as_plain(read_toml(Path(sensor), "a sensor's preset"))
     elif isinstance(sensor, str) and sensor in SENSORS:
         own = dict(_preset(f"sensors/{sensor}"))
     else:
@@ -90,7 +90,7 @@ def merged(base: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:
 
 @cache
 def _preset(name: str) -> dict[str, Any]:
-    return dict(as_tuples(read_toml(PRESETS / f"{name}.toml")))
+    return dict(as_plain(read_toml(PRESETS / f"{name}.toml")))
 
 
 METHODS, TOWERS = (tuple(_preset(file)) for file in ("methods", "towers"))

@@ -8,10 +8,11 @@ from pathlib import Path
 
 import numpy as np
 
+from steelnb.core.checks import checked_kind
 from steelnb.core.errors import InputError
 from steelnb.core.files import reading
 from steelnb.core.types import Array, IntArray
-from steelnb.settings.base import as_tuples
+from steelnb.settings.base import as_plain
 from steelnb.settings.presets import PRESETS, read_toml
 
 STEP_S = 0.008
@@ -89,6 +90,8 @@ class ReportPlot:
     @classmethod
     def find(cls, figure: str, trajectory: str, method: str, run: str = "") -> "ReportPlot":
         """The plot of a figure, trajectory and method. Raises `InputError`."""
+        for name, part in (("figure", figure), ("trajectory", trajectory), ("method", method), ("run", run)):
+            checked_kind(part, name, str)
         return cls.named(" ".join(filter(None, (figure, trajectory, method, run))))
 
     @classmethod
@@ -103,7 +106,7 @@ class ReportPlot:
 @cache
 def read_report_plots() -> tuple[ReportPlot, ...]:
     """All plots of ``presets/report-plots.toml``; an earlier run is a plot of its own, before the one that it is in."""
-    return tuple(ReportPlot(**as_tuples(values)) for values in read_toml(PRESETS / "report-plots.toml")["plot"])
+    return tuple(ReportPlot(**as_plain(values)) for values in read_toml(PRESETS / "report-plots.toml")["plot"])
 
 
 @cache

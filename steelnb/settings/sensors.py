@@ -20,11 +20,17 @@ TofFault = Literal["footprint", "exposure", "multipath", "amplitude", "wiggle", 
 surface; noise and dropout that depend on the amplitude; an error periodic in the range; errors of offset and scale."""
 
 
+SCALE_MIN, SCALE_MAX = 0.8, 1.25
+"""Bounds of the measured scale of ranges: other lengths are not in metres."""
+
+
 class CameraSettings(Settings):
     """A pinhole camera on the drone. In the camera frame, x is the optical axis, y left, z up.
 
     ``mount_m`` and ``mount_rpy_deg``: its position, and its roll, pitch and yaw about the drone's axes.
     """
+
+    lists_as = tuple
 
     columns: Annotated[int, Field(ge=1, le=4096)] = 64
     rows: Annotated[int, Field(ge=1, le=4096)] = 64
@@ -71,7 +77,7 @@ class TofSettings(CameraSettings):
     draw: Annotated[int, Field(ge=0, lt=2**31)] = 0
     blind_s: tuple[tuple[float, float], ...] = ()
     faults: tuple[TofFault, ...] = ()
-    range_scale: Annotated[float, Field(ge=0.8, le=1.25)] = 1.0
+    range_scale: Annotated[float, Field(ge=SCALE_MIN, le=SCALE_MAX)] = 1.0
     range_offset_m: Annotated[float, Field(ge=-0.5, le=0.5)] = 0.0
     range_scale_sigma: NotNegative = 0.0
     range_offset_sigma_m: NotNegative = 0.0
@@ -82,6 +88,9 @@ class TofSettings(CameraSettings):
             raise ValueError(
                 f"pixel_origin = 'corner' with {self.columns} x {self.rows} pixels: expected an image, for half a pixel"
             )
+        for gap in self.blind_s:
+            if not gap[0] < gap[1]:
+                raise ValueError(f"blind_s: {gap}: expected the first and last second of a gap, such as (60.0, 75.0)")
         self.sample_steps()  # raises for an unknown plot and for steps that do not increase
         return self
 

@@ -3,9 +3,9 @@
 import itertools
 from typing import Annotated, Any, ClassVar, Literal, Self
 
-from pydantic import BeforeValidator, model_validator
+from pydantic import AfterValidator, BeforeValidator, model_validator
 
-from steelnb.settings.base import NotNegative, Positive, Settings
+from steelnb.settings.base import FrozenDict, NotNegative, Positive, Settings
 from steelnb.settings.flight import TrajectoryName
 from steelnb.settings.presets import preset_table
 
@@ -13,10 +13,10 @@ Level = tuple[NotNegative, Positive]
 Kind = Literal["leg", "ring", "bracing", "arm", "secondary"]
 """Kind of a member. ``secondary``: redundant members, webs of the arms, railings."""
 SectionSizes = dict[Kind, tuple[Positive, Positive]]
-USUAL_SECTIONS: SectionSizes = {
+USUAL_SECTIONS: SectionSizes = FrozenDict({
     "leg": (0.120, 0.010), "ring": (0.070, 0.006), "bracing": (0.070, 0.006), "arm": (0.060, 0.005),
     "secondary": (0.040, 0.004),
-}  # fmt: skip
+})  # fmt: skip
 
 
 def _with_usual(given: Any) -> Any:
@@ -33,12 +33,14 @@ class TowerSettings(Settings):
     are `USUAL_SECTIONS`. The ground is a square plate at z = 0.
     """
 
+    lists_as = tuple
+
     members: str | None = None
     section: Literal["angle", "round"] = "angle"
     profile_m: tuple[Level, Level, Level] = ((0.0, 4.0), (9.0, 1.7), (16.0, 1.0))
     arms_m: tuple[tuple[Positive, Positive], ...] = ((10.2, 3.2), (12.4, 3.8), (14.6, 2.8))
     arm_depth_m: ClassVar[float] = 0.7
-    sections_m: Annotated[SectionSizes, BeforeValidator(_with_usual)] = USUAL_SECTIONS
+    sections_m: Annotated[SectionSizes, BeforeValidator(_with_usual), AfterValidator(FrozenDict)] = USUAL_SECTIONS
 
     @model_validator(mode="after")
     def _fits(self) -> Self:
@@ -48,7 +50,15 @@ class TowerSettings(Settings):
                 raise ValueError(
                     f"{name} = {getattr(self, name)} with members = {self.members!r}: expected only one of them"
                 )
+        for kind, (width_m, thickness_m) in self.sections_m.items():
+            if self.section == "angle" and not thickness_m <= width_m:
+                raise ValueError(
+                    f"sections_m.{kind} = {(width_m, thickness_m)}: expected a flange at least as wide as it is thick"
+                )
         (ground_m, _), (waist_m, _), (top_m, _) = self.profile_m
+        leg_m = self.sections_m["leg"][0]
+        if self.members is None and not min(width_m for _, width_m in self.profile_m) > leg_m:
+            raise ValueError(f"profile_m = {self.profile_m}: expected widths above that of a leg, {leg_m:g} m")
         if not 0.0 == ground_m < waist_m < top_m:
             raise ValueError(f"profile_m = {self.profile_m}: expected heights that rise from 0")
         height_m = [height for height, _ in self.arms_m]

@@ -26,6 +26,9 @@ class Tower:
     triangle_member: IntArray
     settings: TowerSettings
 
+    def __repr__(self) -> str:
+        return f"Tower({len(self.members)} members, {self.vertices[:, 2].max(initial=0.0):.1f} m high)"
+
     @property
     def axes(self) -> Array:
         """End points of the member axes, ``(M, 2, 3)`` metres, world frame."""

@@ -23,6 +23,9 @@ class Visibility:
 
     slices: tuple[IntArray, ...]
 
+    def __repr__(self) -> str:
+        return f"Visibility({np.count_nonzero(self.observed())} of {len(self.slices)} members observed)"
+
     @property
     def returns(self) -> IntArray:
         """Returns from each member ``(M,)``."""
@@ -66,3 +69,6 @@ class Truth:
     trajectory: Trajectory
     tower: Tower
     visibility: Visibility
+
+    def __repr__(self) -> str:
+        return f"Truth({self.trajectory!r}, {self.tower!r}, {self.visibility!r})"

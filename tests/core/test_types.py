@@ -4,25 +4,36 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from steelnb.core.errors import InputError
 from steelnb.core.estimates import Estimate, OdometryStep
 from steelnb.core.range_scans import RangeScans
 from steelnb.core.types import Flight, Imu, Lines, Scan, Segments, Trajectory
+from steelnb.fusion import SegmentMap
 from steelnb.fusion.structure import Structure
+from steelnb.odometry import CloudOdometry, SegmentOdometry
+from steelnb.points import VoxelMap
+from steelnb.simulation import Truth, Visibility, build_tower
 
 K = 5
 STAMP_S, POSES, CLOUD = np.arange(K) + 1.7e9, np.tile(np.eye(4), (K, 1, 1)), np.ones((7, 3))
 PATH = Trajectory(STAMP_S, POSES)
 SEGMENTS = Segments(np.zeros((2, 3)), np.eye(3)[:2], np.ones(2), np.ones(2))
 SCANS = [Scan(s, CLOUD) for s in STAMP_S]
+FLIGHT = Flight(SCANS, PATH, np.eye(4))
 
 
 def changed(array, at, value):
     array = np.array(array, dtype=float)
     array[at] = value
     return array
+
+
+def changed_segments(**change):
+    ((name, value),) = change.items()
+    return replace(SEGMENTS, **{name: changed(getattr(SEGMENTS, name), -1, value)})
 
 
 def estimate(**change):
@@ -76,6 +87,19 @@ def estimate(**change):
         (lambda: estimate(reason=("",)), "Estimate.reason: 1; expected 5"),
         (lambda: Segments(CLOUD, CLOUD[:6], np.ones(7), np.ones(7)), r"Segments.end: .*\(6, 3\); expected .*\(7, 3\)"),
         (lambda: Segments(CLOUD, CLOUD, np.ones(7), None), "Segments.radius: None"),
+        (lambda: replace(FLIGHT, range_sigmas=(0.001,)), "Flight.range_sigmas: 1; expected 2, of scale and offset"),
+        (lambda: replace(FLIGHT, range_sigmas=(0.001, np.nan)), "Flight.range_sigmas = nan"),
+        (lambda: replace(FLIGHT, range_sigmas="ab"), "Flight.range_sigmas: str"),
+        (lambda: replace(FLIGHT, facts=None), "Flight.facts = None: expected Mapping"),
+        (lambda: replace(FLIGHT, name=5), "Flight.name = 5: expected str"),
+        (lambda: OdometryStep(0.0, np.eye(4), used=1), "OdometryStep.used = 1: expected bool$"),
+        (lambda: Segments.joined(SEGMENTS), "parts = Segments: expected a sequence"),
+        (lambda: Segments.joined(np.ones((2, 3))), "a part = ndarray: expected Segments"),
+        (lambda: changed_segments(start=np.nan).checked(), r"Segments.start\[1, 0\] = nan"),
+        (lambda: changed_segments(count=-2.0).checked(), "Segments.count: -2.0; expected finite numbers of at least 0"),
+        (lambda: changed_segments(radius=np.inf).checked(), "Segments.radius: inf"),
+        (lambda: Lines(CLOUD, CLOUD, np.ones(7), [7]).checked(), "Lines.label: 7; expected less than .* lines, 7"),
+        (lambda: Lines(CLOUD, CLOUD, np.ones(7), [-2]).checked(), "Lines.label: -2"),
         (lambda: Lines(CLOUD, CLOUD, np.ones((7, 1)), np.zeros(9, int)), r"Lines.count: .*expected an array \(7,\)"),
         (lambda: Structure.of(None), "bars = None: expected Segments"),
         (lambda: replace(Structure.of(SEGMENTS), width_m=np.ones(3)), "Structure.width_m: 3; expected 2, one a bar"),
@@ -98,6 +122,44 @@ def test_lists_single_precision_and_rounded_rotations_are_accepted_as_float64():
     assert Scan(0.0, CLOUD).points is CLOUD
 
 
+@pytest.mark.parametrize("shape", [(12, 3), (3, 4, 3)])
+def test_points_at_exactly_zero_are_no_returns_and_other_clouds_are_shared(shape):
+    points = np.arange(36.0).reshape(shape)  # the first coordinate is zero
+    assert Scan(0.0, points).points is points
+    with_zeros = points.copy()
+    with_zeros[-1:] = 0.0
+    scan = Scan(0.0, with_zeros)
+    assert np.isfinite(scan.points).all(axis=-1).sum() == (with_zeros != 0).any(axis=-1).sum()
+    np.testing.assert_array_equal(scan.points[:-1], points[:-1])
+    assert not with_zeros[-1:].any(), "the caller's array is unchanged"
+
+
+def test_poses_are_interpolated_at_stamps_of_any_kind_and_shape():
+    between = PATH.between(STAMP_S[:4].reshape(2, 2) + 0.5)
+    assert between.shape == (2, 2, 4, 4)
+    np.testing.assert_array_equal(PATH.between(pd.Series(STAMP_S[:4] + 0.5)), between.reshape(4, 4, 4))
+    assert PATH.between(STAMP_S[0]).shape == (4, 4)
+
+
+def test_an_estimate_of_no_scans_has_no_share_on_time():
+    none = Trajectory(STAMP_S[:0], POSES[:0])
+    parts = {
+        "prior": none,
+        "corrected": none,
+        "matches": np.ones(0),
+        "reason": (),
+        "seconds": {},
+        "update_s": np.ones(0),
+    }
+    assert np.isnan(estimate(**parts).on_time_share)
+    assert estimate().on_time_share == 1.0
+
+
+def truth():
+    tower = build_tower()
+    return Truth(PATH, tower, Visibility((np.full(9, 50),) * len(tower.members)))
+
+
 class Unread(Sequence):
     stamp_s = STAMP_S
 
@@ -111,7 +173,8 @@ class Unread(Sequence):
 @pytest.mark.parametrize(
     "value",
     [PATH, SCANS[0], Flight(Unread(), PATH, np.eye(4)), estimate(), Segments.empty(), Structure.empty("no bar"),
-     OdometryStep(0.0, np.eye(4)), Imu(STAMP_S, np.ones((K, 3)), np.ones((K, 3)))],
+     OdometryStep(0.0, np.eye(4)), Imu(STAMP_S, np.ones((K, 3)), np.ones((K, 3))),
+     *(make() for make in (build_tower, truth, SegmentMap, SegmentOdometry, CloudOdometry, lambda: VoxelMap(0.1)))],
 )  # fmt: skip
 def test_each_says_in_a_line_what_it_holds_and_scans_of_a_file_are_not_read(value):
     assert repr(value).startswith(type(value).__name__)
@@ -124,5 +187,5 @@ def test_stamps_match_to_a_microsecond_at_any_epoch(epoch_s):
     path = Trajectory(STAMP_S - 1.7e9 + epoch_s, POSES)
     assert len(path.at(path.stamp_s + 7e-7)) == len(path.at(path.stamp_s - 7e-7)) == K
     for off_s in (2e-6, 0.05, -0.05, 3600.0):
-        with pytest.raises(ValueError, match=r"no pose at \d of 5 stamps"):
+        with pytest.raises(InputError, match=r"no pose at \d of 5 stamps"):
             path.at(path.stamp_s + off_s)

@@ -50,7 +50,9 @@ def test_a_failure_leaves_no_file(tmp_path):
 def test_existing_files_are_kept_unless_overwrite_is_set(tmp_path):
     path = tmp_path / "a.mcap"
     path.write_text("kept")
-    with pytest.raises(OutputError, match=r"a.mcap: exists already; expected a new name, or --force"):
+    with pytest.raises(
+        OutputError, match=r"a.mcap: exists already; expected a new name, or --force .in Python, overwrite=True"
+    ):
         write_flight(path, made_up())
     assert path.read_text() == "kept"
     write_flight(path, made_up(), overwrite=True)

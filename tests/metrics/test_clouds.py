@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from steelnb.core.errors import InputError
 from steelnb.metrics import basin_radius_m, bend, largest_slip
 
 
@@ -78,9 +79,9 @@ def test_slices_of_few_points_are_dropped_and_no_slice_is_an_error(tower):
         points = np.concatenate([tower[tower[:, 2] < 5], top])
         built = np.concatenate([tower[tower[:, 2] < 5], top + 1.0])
         assert bend(built, points)["offset_max_m"] == pytest.approx(offset_m, abs=1e-6)
-    with pytest.raises(ValueError, match="no slice of"):
+    with pytest.raises(InputError, match="no slice of"):
         bend(points[:50], points[:50])
-    with pytest.raises(ValueError, match="expected pairs"):
+    with pytest.raises(InputError, match="expected pairs"):
         bend(points, points[1:])
 
 

@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
 
+from steelnb.core.errors import InputError
 from steelnb.core.geometry import transform_points
 from steelnb.notebook.icp_steps import START, icp_steps
 from steelnb.registration import register
@@ -36,5 +37,5 @@ def test_the_end_is_where_the_registration_of_the_package_ends():
 
 
 def test_clouds_apart_have_no_pair():
-    with pytest.raises(ValueError, match=r"no pair within 0\.5 m"):
+    with pytest.raises(InputError, match=r"no pair within 0\.5 m"):
         icp_steps(corner() + 10, corner(), 0.5)

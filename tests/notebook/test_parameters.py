@@ -9,7 +9,7 @@ import papermill
 import pytest
 from IPython.core.interactiveshell import InteractiveShell
 
-from steelnb.core.errors import InputError
+from steelnb.core.errors import InputError, SteelnbError
 from steelnb.notebook import parameters
 from steelnb.notebook.parameters import check_names, check_parameters, literals
 from steelnb.settings import parse_parameter
@@ -83,7 +83,7 @@ def test_every_parameter_of_every_notebook_refuses_what_it_cannot_be(path: Path)
     [
         ("00", {"seed": "report"}, ["seed = 'report'", "number"]),
         ("04", {"tower": "heavi"}, ["tower = 'heavi', did you mean 'heavy'"]),
-        ("00", {"duration_s": 0.4}, ["duration_s = 0.4", "more than 0.4 s, for 2 scans"]),
+        ("00", {"duration_s": 0.4}, ["duration_s = 0.4", "expected two scans, so more than 0.4 s"]),
         ("01", {"seeds": 0}, ["seeds = 0", "greater than 0"]),
         ("01", {"tower": "light", "overrides": {"tower": "heavy"}}, ["'light'", "'heavy'", "expected one tower"]),
         ("02", {"correction": []}, ["correction = []", "at least 1"]),
@@ -182,6 +182,19 @@ def test_what_papermill_injects_is_refused_by_the_notebook(shell: InteractiveShe
     run(shell, f'# Parameters\nresults_dir = "out"\n{injected}\n')
     with pytest.raises(InputError, match=f"parameters: .*{words}"):
         parameters.validate()
+
+
+def test_a_folder_of_results_that_cannot_be_written_is_refused_before_anything_runs(
+    shell: InteractiveShell, tmp_path: Path
+) -> None:
+    (tmp_path / "file").touch()
+    for folder, says in ((tmp_path / "file" / "out", "file/out: cannot be written"), (3, "results_dir = 3: expected")):
+        run(shell, f"# Parameters\nresults_dir = {folder if folder == 3 else str(folder)!r}\n")
+        with pytest.raises(SteelnbError, match=says):
+            parameters.validate()
+    run(shell, f"# Parameters\nresults_dir = {str(tmp_path / 'new')!r}\n")
+    parameters.validate()
+    assert [each.name for each in tmp_path.iterdir()] == ["file"]
 
 
 def test_what_papermill_injects_takes_the_type_of_its_default(shell: InteractiveShell) -> None:

@@ -89,3 +89,21 @@ def test_settings_belong_to_a_family_and_keep_their_method():
         OdometrySettings(method="best")
     with pytest.raises(InputError, match="method = 'gicp': this is 'best'"):
         OdometrySettings.preset("best").override({"method": "gicp"})
+
+
+class Late:
+    """Scans that are read one by one, with stamps of their own."""
+
+    def __len__(self):
+        return 3
+
+    def __getitem__(self, k):
+        if k == 3:
+            raise IndexError
+        return Scan(0.2 * k + 2e-6 * (k == 1), CLOUD)
+
+
+def test_scans_that_are_read_at_other_times_than_their_poses_are_refused():
+    prior = Trajectory(np.array([0.0, 0.2, 0.4]), np.tile(np.eye(4), (3, 1, 1)))
+    with pytest.raises(InputError, match=r"flight, scan 1: at 0.20000\d* s, 2e-06 s after its pose; expected the same"):
+        run(Flight(Late(), prior, np.eye(4)), Careless())

@@ -44,3 +44,11 @@ def test_directions_along_bare_walls_are_reported(method, walls):
     found = register(cloud(), cloud(), method, max_correspondence_m=0.3).unobserved
     assert found.shape == (3 - walls, 3)
     np.testing.assert_allclose(found @ axes[:, :walls], 0, atol=0.1)
+
+
+def test_without_a_pair_no_direction_is_observed():
+    cloud = np.random.default_rng(0).uniform(0, 2, (500, 3))
+    for method in ("icp", "gicp"):
+        found = register(cloud + 50, cloud, method)
+        assert len(found.unobserved) == 3
+        assert "3 directions unobserved" in repr(found)

@@ -1,3 +1,5 @@
+import copy
+import json
 from typing import get_args
 
 import numpy as np
@@ -19,6 +21,7 @@ from steelnb.settings import (
 from steelnb.settings.flight import REST_S
 from steelnb.settings.odometry import FAMILIES
 from steelnb.settings.presets import PRESETS
+from steelnb.settings.report_plots import STEP_S
 from steelnb.simulation.noise import drift_errors
 from steelnb.simulation.tof import scan_steps
 
@@ -50,6 +53,10 @@ from steelnb.simulation.tof import scan_steps
         ({"overrides": {"tof.rate": 5}}, "TofSettings: rate = 5: unknown setting, did you mean 'rate_hz'"),
         ({"overrides": {"radar.rate_hz": 5}}, "radar.rate_hz"),
         ({"overrides": {"tower.profile_m": ((0.0, 4.0), (20.0, 1.7), (16.0, 1.0))}}, "profile_m = .*rise from 0"),
+        (
+            {"overrides": {"tower.profile_m": ((0.0, 1.0), (9.0, 0.1), (16.0, 1.0))}},
+            "widths above that of a leg, 0.12 m",
+        ),
         ({"overrides": {"tower.arms_m": ((10.0, 3.0), (10.3, 3.0))}}, "arms at least 0.7 m apart"),
         ({"overrides": {"tower.arms_m": ((15.8, 3.0),)}}, "between the waist and the top"),
         ({"overrides": {"tof.columns": True}}, "columns = True"),
@@ -59,12 +66,47 @@ from steelnb.simulation.tof import scan_steps
         ({"trajectory": "planned", "method": "orb"}, "'orb': a planned flight has no images"),
         ({"sensor": "starling2-honest", "overrides": {"imu.gyro": 0}}, "mean 'gyro_(noise|walk|bias)'"),
         ({"sensor": "starling2-honest", "overrides": {"imu.gyro_noise": float("nan")}}, "gyro_noise = nan"),
+        ({"overrides": {"imu.gyro_noise": 1e-3}}, r"imu.gyro_noise = 0.001: imu is None; expected all of it"),
+        ({"overrides": {"sensor": "report"}}, "sensor = 'report': this is 'starling2'; choose it by its preset"),
+        ({"seed": 3, "overrides": {"seed": 7}}, "seed = 3, and 7 in the overrides: expected one seed"),
+        ({"tower": "heavy", "overrides": {"tower": "light"}}, "tower = 'heavy', and 'light' in the overrides"),
+        ({"overrides": {"flight.height_min_m": 8.0, "flight.height_max_m": 2.0}}, "height_min_m = 8 above height_max"),
+        ({"overrides": {"tof.blind_s": ((5.0, 3.0),)}}, r"blind_s: \(5.0, 3.0\): expected the first and last second"),
+        ({"overrides": {"tower.sections_m": {"leg": (0.1, 0.2)}}}, r"sections_m.leg = \(0.1, 0.2\): expected a flange"),
+        ({"noise": "tilt:100"}, "tilt_rad = 100.0: expected a number from 0 to 3.14159 rad"),
+        ({"overrides": {"tof.mount_m": (0.0, 0.0)}}, r"mount_m = \(0.0, 0.0\): expected 3 values"),
+        ({"overrides": {5: 1}}, "a name in overrides = 5: expected str"),
+        ({"sensor": "report", "duration_s": 1.0, "overrides": {"tof.rate_hz": 1.0}}, "two scans, so more than 1 s"),
+        ({"duration_s": 5.0, "overrides": {"tof.samples": [0, 625]}}, "leave 1 scans of tof.samples"),
     ],
 )
 def test_a_bad_setting_is_named_in_one_line(arguments, says):
     with pytest.raises(InputError, match=says) as caught:
         ExperimentSettings.preset(**arguments)
     assert "\n" not in str(caught.value)
+
+
+def test_the_first_two_scans_are_counted_after_the_overrides():
+    settings = ExperimentSettings.preset(duration_s=0.1, overrides={"tof.rate_hz": 30.0})
+    assert len(scan_steps(settings.tof, 0.096, STEP_S)) == 3
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_settings_are_made_again_from_json_and_from_arrays(method):
+    settings = ExperimentSettings.preset(
+        method=method, sensor="starling2-honest", overrides={"tof.mount_m": np.ones(3)}
+    )
+    assert settings.tof.mount_m == (1.0, 1.0, 1.0)
+    assert ExperimentSettings(**json.loads(settings.model_dump_json())) == settings
+    assert ExperimentSettings(**settings.model_dump()) == settings
+
+
+def test_settings_can_be_keys_and_their_tables_do_not_change():
+    settings = ExperimentSettings.preset()
+    assert {settings: 1, settings.replace(seed=2): 2}[copy.deepcopy(settings)] == 1
+    for change in (lambda t: t.update(leg=(9.0, 1.0)), lambda t: t.pop("leg"), lambda t: t.__setitem__("leg", (9, 1))):
+        with pytest.raises(InputError, match="settings do not change"):
+            change(settings.tower.sections_m)
 
 
 def test_settings_are_frozen_and_refuse_unknown_keys():
