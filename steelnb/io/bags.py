@@ -1,5 +1,6 @@
 """Flights recorded in bags: which topics, clocks and frames, and the scans one by one."""
 
+import itertools
 from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import suppress
@@ -18,10 +19,14 @@ from steelnb.io.frames import Frames, drone_axes, sensor_frames, world_axes
 from steelnb.io.headers import Headers, frame_name
 from steelnb.io.inertial import usable_samples
 from steelnb.io.opened import Opened
+from steelnb.io.paths import whole_path
 from steelnb.io.scanning import Raw
 from steelnb.io.topics import PoseSource, camera_topic, pose_source, scan_topic
 from steelnb.io.trajectories import read_trajectory, trajectory_of
-from steelnb.io.transforms import Tree, check_order, is_world_name
+from steelnb.io.transforms import BODIES, Tree, check_order, is_world_name
+
+LOOKED_AT = 10
+"""Number of messages that tell what an IMU measures."""
 
 
 class Clock(NamedTuple):
@@ -103,7 +108,9 @@ class _Bag:
             found = trajectory_of(self.bag.path, self.headers.rows(topic, 7, "pose"), self.headers.skipped)
         else:
             raise self.headers.faults[topic]
-        body = tree.resolve(body) or tree.body_of(sensor)
+        if not body and (body := tree.body_of(sensor)).rpartition("/")[2] not in BODIES:
+            self.headers.notes[f"poses are taken for those of {body}, to which {sensor} is fixed"] = None
+        body = tree.resolve(body)
         if not world and is_world_name(sensor) and sensor not in tree.frames:
             world = sensor
         world = tree.resolve(world)
@@ -128,12 +135,9 @@ class _Bag:
             )
         message = self.bag.decode(self.headers.longest)
         rows = np.array([ros.stamped_pose(each) for each in message.poses], dtype=float).reshape(-1, 8)
-        latest = np.array(self.headers.latest_of_paths, dtype=float).reshape(-1, 8)
-        latest = latest[~np.isin(latest[:, 0], rows[:, 0])]
-        latest = latest[np.unique(latest[:, 0], return_index=True)[1]]
-        joined = np.concatenate([latest, rows])
-        found = trajectory_of(self.bag.path, joined[np.argsort(joined[:, 0], kind="stable")], self.headers.skipped)
-        more = f" and {len(latest)} of others" if len(latest) else ""
+        joined = whole_path(self.headers.earlier_paths, rows)
+        found = trajectory_of(self.bag.path, joined, self.headers.skipped)
+        more = f" and {len(joined) - len(rows)} of others" if len(joined) > len(rows) else ""
         return found, frame_name(message.header.frame_id), f"{topic} (the longest Path of it, {len(rows)} poses{more})"
 
     def _cameras(self, topic: str) -> list[tuple[float, ros.CameraInfo]]:
@@ -157,7 +161,7 @@ class _Bag:
     def _imu_topics(self) -> list[str]:
         """The first topic of an IMU whose readings are all measured, in a list, which is empty if there is none."""
         measured = {topic: self._measured(topic) for topic in self.bag.of_type(ros.IMU)}
-        parts = set().union(*measured.values())
+        parts = set().union(*(own for own in measured.values() if "both" in own))
         chosen = [topic for topic, own in measured.items() if "both" in own and own == parts][:1]
         left = [topic for topic in measured if topic not in chosen]
         if left:
@@ -165,15 +169,17 @@ class _Bag:
         return chosen
 
     def _measured(self, topic: str) -> set[str]:
-        """What an IMU measures by its first message: −1 in a covariance says that it does not measure ``both``, and
+        """What an IMU measures by its first messages: −1 in a covariance says that it does not measure ``both``, and
         zeros say nothing but beside another topic that has the part."""
-        for raw in self.bag.messages(topic):
+        found = {"both"}
+        for raw in itertools.islice(self.bag.messages(topic), LOOKED_AT):
             with suppress(InputError):
-                first = self.bag.decode(raw)
-                parts = {"force": first.linear_acceleration, "rate": first.angular_velocity}
-                lacks = -1 in (first.angular_velocity_covariance[0], first.linear_acceleration_covariance[0])
-                return {name for name, part in parts.items() if any(ros.numbers(part))} | (set() if lacks else {"both"})
-        return {"both"}
+                one = self.bag.decode(raw)
+                parts = {"force": one.linear_acceleration, "rate": one.angular_velocity}
+                found |= {name for name, part in parts.items() if any(ros.numbers(part))}
+                if -1 in (one.angular_velocity_covariance[0], one.linear_acceleration_covariance[0]):
+                    found -= {"both"}
+        return found
 
     def _imu(self, topic: str, tree: Tree, body: str) -> Imu | None:
         """Inertial samples with increasing stamps, in the axes of the drone if a transform relates them; None if none
@@ -223,5 +229,15 @@ class _Bag:
 
 
 def _joined(parts: list[Callable[[], Array]]) -> Array:
-    """The points of all parts of a scan."""
-    return parts[0]() if len(parts) == 1 else np.concatenate([part().reshape(-1, 3) for part in parts])
+    """The points of all parts of a scan that can be read. Raises `InputError` if there are none."""
+    if len(parts) == 1:
+        return parts[0]()
+    found, faults = list[Array](), list[InputError]()
+    for part in parts:
+        try:
+            found.append(part().reshape(-1, 3))
+        except InputError as fault:
+            faults.append(fault)
+    if not found:
+        raise faults[0]
+    return np.concatenate(found)

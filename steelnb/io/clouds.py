@@ -29,20 +29,18 @@ from steelnb.io.table_form import read_table
 
 EXTENT_MAX_M, SPACING_MAX_M = 500.0, 1.0
 """A cloud that exceeds both extent and spacing is probably in millimetres: no scanner is that sparse."""
-LINES_COUNTED = 10
+LINES_COUNTED, LINES_LOOKED_AT = 10, 100
 """Minimum number of lines by which a first column in equal steps is recognised."""
 CHANNELS_MAX = 16
 """An array (3, N) has more columns than this, an array (N, 3 or more) at most as many."""
-AXIS = (
-    r"(?:pos|position|points?|coords?|coordinates?|p|points_m_xyz|cartesian|local)_?{}",
-    r"{}_?(?:coord|coordinate|pos|local|\d)",
-)
+AXIS = ("(?:pos|position|point|coord|coordinate|p|points_m_xyz|cartesian)_?{}", "{}_?(?:coord|coordinate|pos)")
 OTHER_AXES = {
-    "x": "e|east|easting|ost|rechtswert|(?:points|points_m_xyz|coordinates)_0",
-    "y": "n|north|northing|nord|hochwert|(?:points|points_m_xyz|coordinates)_1",
-    "z": "u|up|h|elev|elevation|height|hoehe|höhe|alt|altitude|(?:points|points_m_xyz|coordinates)_2",
+    "x": ("e|east|easting|points_0", "ost|rechtswert|(?:points_m_xyz|coordinates)_0"),
+    "y": ("n|north|northing|points_1", "nord|hochwert|(?:points_m_xyz|coordinates)_1"),
+    "z": ("elevation|height|altitude|points_2", "elev|hoehe|höhe|alt|(?:points_m_xyz|coordinates)_2", "u|up|h"),
 }
-"""Names of columns: of an axis, around its letter, and other words for it."""
+RARE_AXIS = (r"(?:points|coords|coordinates|local)_?{}", r"{}_?(?:local|\d)")
+"""Names of columns, the preferred first: of an axis, around its letter, other words for it, and rarer forms."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -161,7 +159,10 @@ def _read_text(path: Path) -> Any:
     """x, y and z, or east, north and height, by the names of the columns; without names the first three, or three lines
     of many numbers."""
     table = read_table(path)
-    number = [table.find(axis, *(form.format(axis) for form in AXIS), other) for axis, other in OTHER_AXES.items()]
+    number = [
+        table.find(axis, *(form.format(axis) for form in AXIS), *words, *(form.format(axis) for form in RARE_AXIS))
+        for axis, words in OTHER_AXES.items()
+    ]
     is_unnamed = None in number
     if is_unnamed:
         if table.has_header or any(each is not None for each in number):
@@ -181,7 +182,7 @@ def _read_text(path: Path) -> Any:
     if is_unnamed and len(table.own) > 3:
         _check_first_column(points[:, 0])
     if is_unnamed and table.separator == "," and len(table.own) >= 6 and len(table.own) % 2 == 0:
-        _check_commas(table.data.splitlines()[:LINES_COUNTED])
+        _check_commas(table.data.splitlines()[:LINES_LOOKED_AT])
     return points
 
 
@@ -190,7 +191,13 @@ def _check_commas(lines: list[bytes]) -> None:
     second one has as many digits as the others of these."""
     cells = [[cell.strip() for cell in line.split(b",")] for line in lines]
     is_whole = all(re.fullmatch(rb"-?\d+", cell) for line in cells for cell in line)
-    if is_whole and len(cells) > 1 and len({len(cell) for line in cells for cell in line[1::2]}) == 1:
+    decimals = {cell for line in cells for cell in line[1::2]}
+    are_even = is_whole and len(cells) > 1 and len({len(cell) for cell in decimals}) == 1
+    are_padded = any(len(cell) > 1 and cell.startswith(b"0") for cell in decimals)
+    are_colours = (
+        len(cells[0]) == 6 and all(0 <= int(cell) < 256 for line in cells for cell in line[3:]) if is_whole else False
+    )
+    if are_even and (are_padded or not are_colours or (len(cells) == LINES_LOOKED_AT and len(decimals) > 3)):
         raise ValueError("whole numbers between commas, which may be decimal ones; expected decimal points")
 
 

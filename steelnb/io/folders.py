@@ -14,6 +14,7 @@ from steelnb.core.types import Array, Trajectory
 from steelnb.io.clouds import READERS, read_points
 from steelnb.io.containers import is_bag
 from steelnb.io.opened import Opened, Walk
+from steelnb.io.table_form import read_table
 from steelnb.io.trajectories import OUT_OF_ORDER, SECONDS, read_trajectory, unit_of_stamps
 
 TRUE = ("groundtruth.tum", "groundtruth.txt", "groundtruth.csv")
@@ -97,7 +98,9 @@ def _scans(folder: Path) -> tuple[list[Path], list[Path]]:
     others = [each for each in forms.values() if each is not chosen]
     if len(chosen) == 1:  # the names differ in more than numbers
         chosen, others = no_tables or files, []
-        if _by_number(chosen) != sorted(chosen) and not all("." in "".join(NUMBER.findall(f.stem)) for f in chosen):
+        leading = {float(match[0]) for file in chosen if (match := NUMBER.match(file.stem))}
+        has_stamps = all("." in "".join(NUMBER.findall(file.stem)) for file in chosen)
+        if _by_number(chosen) != sorted(chosen) and len(leading) < len(chosen) and not has_stamps:
             raise InputError(
                 f"{folder}: clouds such as {chosen[0].name} and {chosen[1].name} have no order; expected names that "
                 "differ in numbers alone"
@@ -138,7 +141,7 @@ def _trajectory_file(path: Path, poses: str | None, scans: Sequence[Path]) -> Pa
 
 def _is_trajectory(file: Path) -> bool:
     try:
-        return len(read_trajectory(file)) > 0
+        return len(read_trajectory(file)) > 0 and not read_table(file).has_title
     except InputError:
         return False
 

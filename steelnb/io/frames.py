@@ -17,8 +17,11 @@ T_OPTICAL_SENSOR = np.array([[0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 
 """Rotation from x forward, y left, z up to optical axes: z forward, x right, y down (REP 103)."""
 T_UP_DOWN = np.diag([1.0, -1.0, -1.0, 1.0])
 """Rotation between axes with z down and y right (NED, FRD) and those with z up and y left (REP 103)."""
-UPRIGHT = 0.9
-"""Minimum cosine between the vertical and the z axis of a frame that stands upright on the drone."""
+UPRIGHT, ALIGNED = 0.7, 0.9
+"""Minimum cosines between the vertical and the z axis of a frame that stands upright on the drone, and between all axes
+of a frame and those of the drone, if they are meant to be the same."""
+OPTICAL_ENDS = ("optical", "frame", "link", "center", "centre")
+"""Last words of the name of a frame with optical axes; an optical_flow_link or an optical_mount has others."""
 
 
 class Frames(NamedTuple):
@@ -66,7 +69,7 @@ def sensor_frames(
         if found is not None and mount is None:
             placed[name] = found
             T_drone_frame = np.linalg.inv(drone_axes(body)) @ found.T_target_source
-            is_upright = is_depth and not is_optical(name) and T_drone_frame[0, 2, 2] > UPRIGHT
+            is_upright = is_depth and not is_optical(name) and _is_ahead(name, T_drone_frame[0])
             if is_upright:  # REP 103: axes are optical only if the name says so
                 notes.append(
                     f"depth images are in {name}, which stands upright and is not optical by its name: x is ahead"
@@ -108,6 +111,12 @@ def sensor_frames(
     return Frames(T_mount, stamps, T_sensor_scan, moved, optical, source, " → ".join(chain), tuple(notes))
 
 
+def _is_ahead(name: str, T_drone_frame: Array) -> bool:
+    """Whether a camera's frame, optical by no name, has x ahead: it stands upright, and is a link or as the drone."""
+    is_link = bool({"link", "base", "body"} & set(_words(name)))
+    return bool(T_drone_frame[2, 2] > UPRIGHT and (is_link or np.diag(T_drone_frame)[:3].min() > ALIGNED))
+
+
 def _is_of_world(tree: Tree, world: str, frames: tuple[str, ...]) -> bool:
     """Whether the way from the drone to the scans leads to the world, so that their points are in it.
 
@@ -141,16 +150,17 @@ def drone_axes(frame: str) -> Array:
 
 def world_axes(frame: str) -> Array:
     """Rotation ``(4, 4)`` from the axes of a frame of the world to those with z up, by its name (ned, frd)."""
-    return T_UP_DOWN if {"ned", "frd"} & _words(frame) else np.eye(4)
+    words = _words(frame)
+    return T_UP_DOWN if {"ned", "frd"} & {*words} and "enu" not in words else np.eye(4)
 
 
 def is_optical(frame: str) -> bool:
     """Whether a frame has optical axes by its name."""
-    return "optical" in _words(frame)
+    words = _words(frame)
+    return "optical" in words[-2:] and words[-1] in OPTICAL_ENDS
 
 
-def _words(frame: str) -> set[str]:
-    """The words of a frame's name without its namespace, in lower case: of camera_optical_link and CameraOpticalLink,
+def _words(frame: str) -> list[str]:
+    """The words of a frame's name without its namespace, in lower case: of camera_optical_link and CameraOpticalLink0,
     camera, optical and link."""
-    found = re.findall(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+", frame.rpartition("/")[2])
-    return {word.lower() for word in found}
+    return [word.lower() for word in re.findall(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+", frame.rpartition("/")[2])]

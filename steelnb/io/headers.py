@@ -23,11 +23,9 @@ class Headers:
 
     ``frame_of``: frame and child frame of each topic; ``scan_frames``: frame of each scan; ``shape``: rows and columns
     of the first; ``cameras`` of topics, each with the stamp from which it holds; ``longest``: the longest Path, the
-    last of its length; ``latest_of_paths``: stamps and poses of the first that another one was no longer than, and the
-    last one of each such;
-    ``notes`` on what contradicted itself; ``faults``: of each topic the first message that cannot be decoded;
-    ``skipped``: counts of what is left out; ``unstamped``: frames on moving transforms without stamps, and a text on
-    each.
+    last of its length; ``earlier_paths``: rows of stamp and pose of some before it that did not grow; ``notes`` on what
+    contradicted itself; ``faults``: of each topic the first message that cannot be decoded; ``skipped``: counts of what
+    is left out; ``unstamped``: frames on moving transforms without stamps, and a text on each.
     """
 
     def __init__(self, bag: Container, by_log: bool) -> None:
@@ -38,7 +36,8 @@ class Headers:
         self.shape: tuple[int, int] | None = None
         self.cameras: dict[str, list[tuple[float, ros.CameraInfo]]] = defaultdict(list)
         self.longest: Raw | None = None
-        self.latest_of_paths: list[tuple[float, ...]] = []
+        self.earlier_paths: list[Array] = []
+        self._until_path = 0
         self.notes: dict[str, None] = {}
         self.faults: dict[str, InputError] = {}
         self.skipped = Counter[str]()
@@ -91,12 +90,15 @@ class Headers:
         return log_s if self._by_log else ros.stamp_of(message), log_s
 
     def _look_at_path(self, raw: Raw) -> None:
-        """Keep the longest Path. One that does not grow has lost its first poses, so the last of each counts."""
-        if self.longest is not None and len(raw.data) <= len(self.longest.data):
+        """Keep the longest Path, and of those that do not grow, which have lost their first poses, one in an eighth of
+        its length: decoding all takes the square of it."""
+        self._until_path -= 1
+        if self.longest is not None and len(raw.data) <= len(self.longest.data) and self._until_path <= 0:
             with suppress(InputError):
-                if not self.latest_of_paths:
-                    self.latest_of_paths += map(ros.stamped_pose, self._bag.decode(self.longest).poses)
-                self.latest_of_paths += map(ros.stamped_pose, self._bag.decode(raw).poses[-1:])
+                for path in (raw,) if self.earlier_paths else (self.longest, raw):
+                    poses = self._bag.decode(path).poses
+                    self.earlier_paths.append(np.array([ros.stamped_pose(each) for each in poses]).reshape(-1, 8))
+                    self._until_path = len(poses) // 8
         if self.longest is None or len(raw.data) >= len(self.longest.data):
             self.longest = raw
 

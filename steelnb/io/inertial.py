@@ -1,5 +1,6 @@
 """Inertial samples of a recording: which are of use, and in which unit they are."""
 
+import math
 from collections import Counter
 
 import numpy as np
@@ -7,10 +8,12 @@ import numpy as np
 from steelnb.core.types import GRAVITY, Array
 from steelnb.io.clocks import rising_stamps
 
-READING_MAX = 1e4
+READING_MAX = 1e6
 """No sensor of a drone gives larger numbers, in any unit."""
 GRAVITIES = 0.7, 1.3
 """Bounds of the median acceleration of a drone that hovers, in multiples of gravity."""
+UNITS = {"m/s²": 1.0, "g": GRAVITY, "mg": GRAVITY / 1000, "cm/s²": 0.01}
+"""Units of accelerations that drivers give, in m/s²."""
 RATE_MAX = 20.0
 """Maximum median angular rate of a drone, rad/s: twenty degrees a second are usual, twenty radians are not."""
 SAMPLES_MIN = 100
@@ -31,9 +34,9 @@ def usable_samples(rows: Array, topic: str, notes: dict[str, None], skipped: Cou
         return rising
     size = float(np.linalg.norm(np.median(rising[:, 1:4], axis=0)))  # of the vector: vibration has no direction
     rate = float(np.median(np.linalg.norm(rising[:, 4:], axis=1)))
-    unit = next((name for name, g in (("g", 1), ("mg", 1000)) if GRAVITIES[0] < size / g < GRAVITIES[1]), "")
-    if unit:
-        rising[:, 1:4] *= GRAVITY if unit == "g" else GRAVITY / 1000
+    unit = min(UNITS, key=lambda name: abs(math.log(size * UNITS[name] / GRAVITY))) if size > 0 else ""
+    if unit and GRAVITIES[0] < size * UNITS[unit] / GRAVITY < GRAVITIES[1] and unit != "m/s²":
+        rising[:, 1:4] *= UNITS[unit]
         notes[f"accelerations of {topic} are in {unit}, with a median of {size:.4g}"] = None
     elif not GRAVITIES[0] < size / GRAVITY < GRAVITIES[1] and len(rising) >= SAMPLES_MIN:
         notes[f"accelerations of {topic} have a median of {size:.4g}, those of a drone that hovers 9.8 m/s²"] = None

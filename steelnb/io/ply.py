@@ -115,6 +115,10 @@ def _elements(lines: list[list[str]]) -> list[Element]:
 def _type(words: list[str]) -> Type:
     """NumPy's type of a property, or those of a list's length and of its items."""
     kinds = words[1:3] if words[0] == "list" else words[:1]
-    if not all(kind in TYPES for kind in kinds) or len(words) <= (3 if words[0] == "list" else 1):
+    if (
+        not all(kind in TYPES for kind in kinds)
+        or (len(kinds) > 1 and TYPES[kinds[0]][0] == "f")
+        or len(words) <= (3 if words[0] == "list" else 1)
+    ):
         raise ValueError(f"property {' '.join(words)[:60]!r}; expected one of {', '.join(TYPES)[:80]}, and a name")
     return TYPES[kinds[0]] if len(kinds) == 1 else (TYPES[kinds[0]], TYPES[kinds[1]])

@@ -1,19 +1,19 @@
 """The form of a table in a text file: its separator, the names and units of its columns, its comments and titles."""
 
 import re
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 from steelnb.core.checks import shown
 from steelnb.io.encodings import decoded, plain_nan
-from steelnb.io.text import Table, is_number, split_cells
+from steelnb.io.text import NOT_A_NUMBER, Table, is_number, split_cells
 
 HEAD_BYTES, COLUMNS_MAX = 1 << 16, 1000
 """The form of a table is found in its first bytes; no table of points or poses has so many columns."""
 COMMENT = re.compile(rb"^[ \t]*(?://|%|#)", re.MULTILINE)
 SEPARATOR_LINE = re.compile(rb"sep=.\r?\n", re.IGNORECASE)
 FORTRAN = re.compile(rb"(?<=[\d.])[dD](?=[+-]?\d)")
-TIME = re.compile(rb"\d{4}-\d\d-\d\d[T ]\d\d:\d\d:\d\d(?:\.\d+)?(?:Z|[+-]\d\d:?\d\d)?")
+TIME = re.compile(rb"\d{4}-\d\d-\d\d[Tt ]\d\d:\d\d:\d\d(?:\.\d+)?(?:[Zz]| UTC|[+-]\d\d(?::?\d\d)?)?(?![\d:])")
 LISTS = re.compile(rb"^#[ \t]*((?:\w+, *){3,})\w+\[\].*$", re.MULTILINE)
 """A first line of spreadsheets, exponents of Fortran, times of ISO 8601, and a comment of COLMAP, whose lines end in
 lists of any length."""
@@ -26,7 +26,13 @@ UNIT_OF = {word: unit for unit, words in UNITS.items() for word in words.split()
 QUOTED = re.compile('"[^"]*"')
 DECIMAL_COMMA = re.compile(r"[+-]?\d+(?:,\d+)?(?:[eE][+-]?\d+)?")
 PROSE = {"and", "down", "forward", "is", "left", "of", "right", "the", "to", "up"}
-"""Words that no column is named by, but sentences on axes have."""
+"""Words of sentences on axes. Columns with such names have x, y and z beside each other."""
+KNOWN = {
+    *("x", "y", "z", "e", "n", "h", "u", "east", "north", "up", "easting", "northing", "elevation", "elev", "height"),
+    *("alt", "altitude", "ost", "nord", "hoehe", "höhe", "rechtswert", "hochwert", "lat", "lon", "latitude"),
+    *("longitude", "stamp", "time", "timestamp", "qx", "qy", "qz", "qw", "q0", "q1", "q2", "q3"),
+}
+"""Names of columns, two of which tell a line of names from a title."""
 HEADING = re.compile(r"^(?:the\s+)?(?:columns?|fields?|format|names?|header)\s+(?:are\s+)?", re.IGNORECASE)
 
 
@@ -50,7 +56,10 @@ def read_table(path: Path) -> Table:
     if len(bodies) > 1 and re.fullmatch("[0-9]{1,18}", bodies[0]) and re.search(r"\S[\s,;]+\S", bodies[1]):
         declared = int(bodies[0])
         content, bodies = content[1:], bodies[1:]
-    begin = next((k for k, body in enumerate(bodies) if _is_of_numbers(_cells_of(body))), len(bodies))
+    split = [_cells_of(body) for body in bodies]
+    begin = next((k for k, cells in enumerate(split) if _is_of_numbers(cells, split[k - 1] if k else [])), len(bodies))
+    if begin and split[0][0].lower() in ("ncols", "nrows"):
+        raise ValueError("a grid of heights; expected x, y and z in each line")
     heads, content, bodies = list(zip(content, bodies, strict=True))[:begin], content[begin:], bodies[begin:]
     if not bodies:
         raise ValueError(f"{shown(heads[0][1])} and no line of numbers after it")
@@ -67,16 +76,19 @@ def read_table(path: Path) -> Table:
         raise ValueError(f"line {content[0] + 1} has {len(cells)} numbers; expected those of one point or pose a line")
     is_open = len(cells) > 1 and not cells[-1]
     names, units = _names(heads, {len(cells), len(cells) - is_open}, content[0])
-    said = [_words(comment) for comment in reversed(comments)]
+    said = [_words(comment, len(cells)) for comment in reversed(comments)]
     in_comment = next((words for words in said if len(words) == len(cells)), [])
     plain = [_plain(name) for name in (in_comment if names is None else names)]
+    for (name, unit), more in zip(plain, units, strict=False):
+        if unit and more and unit != more:
+            raise ValueError(f"column {name} in {unit} by its name, and in {more} by the line below; expected one unit")
     first = content[0] if names is None else heads[-1][0] + 1  # a label below it may look like a comment
     skipped = sum(map(len, lines[:first]))
     return Table(
         data[skipped:] if skipped else data, len(cells), separator, decimal, tuple(name for name, _ in plain),
         tuple(unit or more for (_, unit), more in zip(plain, units or [""] * len(plain), strict=True)),
         names is not None, declared, first + 1, tuple(range(is_index, len(cells) - is_open)),
-        tuple(_plain(word)[0] for words in said for word in words),
+        tuple(_plain(word)[0] for words in said for word in words), bool(heads) and names is None,
     )  # fmt: skip
 
 
@@ -89,18 +101,26 @@ def _plain_numbers(data: bytes) -> bytes:
     head = data[:HEAD_BYTES]
     if re.search(rb"\d\.\d*[dD][+-]?\d", head):
         data = FORTRAN.sub(b"e", data)
-    if TIME.search(head):
-        data = TIME.sub(lambda time: b"%.9f" % _unix_s(time[0].decode()), data)
-    if lists := LISTS.search(head):
+    if time := TIME.search(head):
+        line = head[head.rfind(b"\n", 0, time.start()) + 1 :].splitlines()[0]
+        separated = any(sign in line for sign in b",;\t")  # else date and time are columns
+        data = TIME.sub(lambda each: _unix_s(each[0]) if separated or each[0][10:11] != b" " else each[0], data)
+    lists = LISTS.search(head)
+    if lists and not re.match(rb"[^\n]*[,;]", head[lists.end() :].lstrip()):
         names = lists[1].strip(b", ")
         cut = rb"^((?:[^\s#]\S*[ \t]+){%d}\S+).*$" % names.count(b",")
         data = re.sub(cut, rb"\1", data.replace(lists[0], b"# " + names, 1), flags=re.MULTILINE)
     return data
 
 
-def _unix_s(time: str) -> float:
-    found = datetime.fromisoformat(time)
-    return (found if found.tzinfo else found.replace(tzinfo=UTC)).timestamp()
+def _unix_s(time: bytes) -> bytes:
+    """Unix seconds of a time, without a decimal sign, since the table may have another; the same text if it is none."""
+    try:
+        found = datetime.fromisoformat(time.decode().upper().replace(" UTC", "Z"))
+    except ValueError:
+        return time
+    since = (found if found.tzinfo else found.replace(tzinfo=UTC)) - datetime(1970, 1, 1, tzinfo=UTC)
+    return b"%de-6" % (since // timedelta(microseconds=1))
 
 
 def _head(data: bytes) -> tuple[list[bytes], list[int]]:
@@ -120,30 +140,39 @@ def _cells_of(line: str) -> list[str]:
     return split_cells(line, "\t" if "\t" in line else _separator(line)[0])
 
 
-def _is_of_numbers(cells: list[str]) -> bool:
-    """Whether these are the fields of a line of numbers, of which some may be labels; a title may hold a year."""
-    numbers = sum(any(is_number(cell, decimal) for decimal in ".,") for cell in cells)
-    return numbers > 2 or 2 * numbers > len(cells)
+def _is_of_numbers(cells: list[str], before: list[str]) -> bool:
+    """Whether these are the fields of a line of numbers, of which some may be labels or missing; a title may hold a
+    year. ``before``: the line before, which may have as many names."""
+    missing = sum(cell in NOT_A_NUMBER for cell in cells)
+    numbers = _numbers_in(cells)
+    if len(cells) == len(before) and not _numbers_in(before) and not all(cell in UNIT_OF for cell in cells if cell):
+        return numbers > 0 or 2 * missing > len(cells)
+    return numbers > 2 or 2 * numbers > len(cells) - missing
+
+
+def _numbers_in(cells: list[str]) -> int:
+    return sum(any(is_number(cell, sign) for sign in ".,") for cell in cells if cell not in NOT_A_NUMBER)
 
 
 def _names(heads: list[tuple[int, str]], counts: set[int], begin: int) -> tuple[list[str] | None, list[str]]:
     """The names of columns among the numbered lines before the first of numbers, or None, and the units of a line after
     them, or none. Raises ValueError for other lines after the names, and for names that are too few or too many."""
     split = [_cells_of(text) for _, text in heads]
-    has_x = [any(_plain(cell)[0].endswith("x") for cell in cells) for cells in split]
+    plain = [[_plain(cell)[0] for cell in cells] for cells in split]
+    are_names = [any(w.endswith("x") for w in words) or sum(w in KNOWN for w in words) > 1 for words in plain]
     fitting = [k for k, cells in enumerate(split) if len(cells) in counts]
-    chosen = max([k for k in fitting if has_x[k]] or fitting, default=None)
+    chosen = max([k for k in fitting if are_names[k]] or fitting, default=None)
     if chosen is None:
-        if any(has_x):
-            words = split[max(k for k, is_so in enumerate(has_x) if is_so)]
+        if any(are_names):
+            words = split[max(k for k, is_so in enumerate(are_names) if is_so)]
             raise ValueError(f"{len(words)} names of columns, but {max(counts)} fields in line {begin + 1}")
         return None, []
     units: list[str] = []
     for (number, text), cells in zip(heads[chosen + 1 :], split[chosen + 1 :], strict=True):
-        plain = [cell.strip("[]() ").lower() for cell in cells]
-        if len(plain) != len(split[chosen]) or not all(word in UNIT_OF or not word.strip("-") for word in plain):
+        below = [cell.strip("[]() ").lower() for cell in cells]
+        if len(below) != len(split[chosen]) or 2 * sum(w in UNIT_OF or not w.strip("-") for w in below) < len(below):
             raise ValueError(f"line {number + 1}: {shown(text)}; expected numbers")
-        units = [UNIT_OF.get(word, "") for word in plain]
+        units = [UNIT_OF.get(word, "") for word in below]
     return split[chosen], units
 
 
@@ -160,12 +189,16 @@ def _has_decimal_commas(lines: list[str], separator: str) -> bool:
     return separator != " " or all(DECIMAL_COMMA.fullmatch(word) for line in lines for word in line.split())
 
 
-def _words(comment: str) -> list[str]:
-    """The words of a comment that could be names of columns: one of them is an x; units stay with their names."""
-    comment = HEADING.sub("", comment.rpartition(":")[2].replace("|", " ").strip())
-    words = split_cells(re.sub(r"\s+([\[(])", r"\1", comment), _separator(comment)[0])
+def _words(comment: str, count: int) -> list[str]:
+    """The words of a comment that could be names of columns: one of them is an x; units stay with their names.
+    ``count``: of columns, which tells whether "name" or "field" is one of them."""
+    comment = comment.rpartition(":")[2].replace("|", " ").strip()
+    texts = (HEADING.sub("", comment), comment)
+    both = [split_cells(re.sub(r"\s+([\[(])", r"\1", text), _separator(text)[0]) for text in texts]
+    words = next((words for words in both if len(words) == count), both[0])
     plain = [_plain(word)[0] for word in words]
-    return words if any(word.endswith("x") for word in plain) and PROSE.isdisjoint(plain) else []
+    beside = any([word[-1:] for word in plain[k : k + 3]] == ["x", "y", "z"] for k in range(len(plain)))
+    return words if any(word.endswith("x") for word in plain) and (beside or PROSE.isdisjoint(plain)) else []
 
 
 def _plain(name: str) -> tuple[str, str]:

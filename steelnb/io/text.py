@@ -24,8 +24,8 @@ class Table:
     ``decimal``. ``names``: of the columns, in lower case, with ``_`` for all other signs, and ``units`` ("" if not
     given); both are empty without names. ``has_header``: the names stand in a line of their own, not in a comment.
     ``declared``: number of lines according to the first one; ``first``: number of the first line in the file.
-    For tables without names, ``own``: all columns but an index and an empty last one; ``said``: the words of comments,
-    in the form of names, whatever their number.
+    ``has_title``: other words stand before the numbers. For tables without names, ``own``: all columns but an index and
+    an empty last one; ``said``: the words of comments, in the form of names, whatever their number.
     """
 
     data: bytes
@@ -39,6 +39,7 @@ class Table:
     first: int = 1
     own: tuple[int, ...] = ()
     said: tuple[str, ...] = ()
+    has_title: bool = False
 
     def find(self, *patterns: str) -> int | None:
         """Number of the column whose name matches the first of these patterns that any name matches, or None.

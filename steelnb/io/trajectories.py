@@ -110,7 +110,8 @@ def _tum(table: Table) -> Array:
         )
     rows = table.values(table.own)
     rows[:, 0] = _seconds(rows[:, 0], "")
-    w_first = any(table.said[k : k + 4] == ("qw", "qx", "qy", "qz") for k in range(len(table.said)))
+    orders = [table.said[k : k + 4] for k in range(3, len(table.said)) if table.said[k - 1].endswith("z")]
+    w_first = ("qw", "qx", "qy", "qz") in orders and QUATERNION not in orders
     return rows[:, [0, 1, 2, 3, 5, 6, 7, 4]] if w_first else rows
 
 

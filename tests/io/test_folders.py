@@ -168,3 +168,15 @@ def test_what_a_folder_holds_instead_is_named(folder: Path) -> None:
     (folder / "a.db3").write_bytes(b"SQLite format 3\0")
     with pytest.raises(InputError, match=r"clouds without a trajectory, and a.db3; expected one, or the bag itself"):
         read_flight(folder)
+
+
+def test_numbers_before_words_are_an_order(tmp_path: Path) -> None:
+    for k, name in ((9, "9_a"), (10, "10_b"), (11, "11_c")):
+        np.save(tmp_path / f"{name}.npy", POINTS + k)
+    write_tum(tmp_path / "trajectory.tum", poses(3))
+    assert [scan.points[0, 0] - POINTS[0, 0] for scan in read_flight(tmp_path).scans] == [9, 10, 11]
+
+
+def test_other_tables_of_eight_numbers_are_no_trajectory(folder: Path) -> None:
+    (folder / "calib.txt").write_text("Camera calibration\n" + "".join(f"{k} 1 2 3 0 0 0 1\n" for k in range(3)))
+    assert len(read_flight(folder)) == 10

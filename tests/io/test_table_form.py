@@ -128,3 +128,91 @@ def test_degrees_and_decimal_commas_between_commas_are_refused(tmp_path):
         read_cloud(tmp_path / "b.csv")
     np.savetxt(tmp_path / "c.xyz", points * [0, 0, 1] + [1, 2, 0])
     assert len(read_cloud(tmp_path / "c.xyz")) == 200
+
+
+@pytest.mark.parametrize(
+    ("comment", "before"),
+    [
+        ("name x y z", 1), ("id x y z of the point", 1), ("left right x y z", 2), ("id x y z up", 1),
+        ("field x y z", 1), ("fields x y z", 0),
+    ],
+)  # fmt: skip
+def test_names_beside_other_words_are_names(tmp_path, comment, before):
+    rows = ["7 " * before + f"{x} {y} {z}" for x, y, z in EXPECTED]
+    (tmp_path / "a.txt").write_text("\n".join([f"# {comment}", *rows]))
+    np.testing.assert_array_equal(read_points(tmp_path / "a.txt"), EXPECTED)
+
+
+@pytest.mark.parametrize("head", ["date time x y z", "# date time x y z"])
+def test_date_and_time_may_be_two_columns(tmp_path, head):
+    rows = [f"2024-05-01 10:00:0{k} {x} {y} {z}" for k, (x, y, z) in enumerate(EXPECTED)]
+    (tmp_path / "a.txt").write_text("\n".join([head, *rows]))
+    np.testing.assert_array_equal(read_points(tmp_path / "a.txt"), EXPECTED)
+
+
+@pytest.mark.parametrize(
+    "head", ["Nr,East,North,Height", "Point Number Easting Northing Elevation", "Latitude,Longitude,Altitude"]
+)
+def test_names_of_other_columns_are_no_title(tmp_path, head):
+    (tmp_path / "a.csv").write_text(f"{head}\n" + "7,1,2,3,4,5,6\n8,4,5,6,7,8,9\n")
+    with pytest.raises(InputError, match=r"names of columns, but 7 fields in line 2"):
+        read_points(tmp_path / "a.csv")
+
+
+@pytest.mark.parametrize("first", ["1.0,,,,,,,,INIT", "1.0,null,null,null,null,null,null,null,lost", ",,,,,,,,INIT"])
+def test_the_first_poses_may_be_missing(tmp_path, first):
+    head = "t,x,y,z,qx,qy,qz,qw,state"
+    (tmp_path / "a.csv").write_text(f"{head}\n{first}\n2.0,1,2,3,0,0,0,1,ok\n3.0,4,5,6,0,0,0,1,ok\n")
+    np.testing.assert_array_equal(read_trajectory(tmp_path / "a.csv").position, EXPECTED)
+
+
+def test_decimal_commas_beside_times(tmp_path):
+    rows = ["time;x;y;z", "2024-05-01 10:00:00.25;1,5;2,5;3", "2024-05-01 10:00:01;4,5;5;6"]
+    (tmp_path / "a.csv").write_text("\n".join(rows))
+    np.testing.assert_array_equal(read_points(tmp_path / "a.csv"), [[1.5, 2.5, 3], [4.5, 5, 6]])
+
+
+@pytest.mark.parametrize("time", ["0000-00-00 00:00:00", "2024-02-30 10:00:00", "2024-05-01 23:59:60"])
+def test_impossible_times_matter_only_where_they_are_wanted(tmp_path, time):
+    (tmp_path / "a.csv").write_text(f"# made {time}\nx,y,z,gps\n1,2,3,{time}\n4,5,6,{time}\n")
+    np.testing.assert_array_equal(read_points(tmp_path / "a.csv"), EXPECTED)
+
+
+def test_a_remark_on_other_files_turns_no_quaternions(tmp_path):
+    comment = "# stamp x y z qx qy qz qw (was qw qx qy qz before v2)"
+    x, y, z, w = Rotation.from_euler("z", 50, degrees=True).as_quat()
+    (tmp_path / "a.tum").write_text(f"{comment}\n0 1 2 3 {x} {y} {z} {w}\n1 4 5 6 {x} {y} {z} {w}\n")
+    T = read_trajectory(tmp_path / "a.tum").T_world_drone[0]
+    np.testing.assert_allclose(Rotation.from_matrix(T[:3, :3]).as_quat(), [x, y, z, w])
+
+
+@pytest.mark.parametrize("names", ["easting,northing,elevation,h", "x,y,height,u", "x,y,z,x_local", "x,y,z,h"])
+def test_rarer_names_give_way(tmp_path, names):
+    (tmp_path / "a.csv").write_text(f"{names}\n1,2,3,9\n4,5,6,9\n")
+    np.testing.assert_array_equal(read_points(tmp_path / "a.csv"), EXPECTED)
+
+
+@pytest.mark.parametrize("rest", ["0,0,0", "255,128,100", "0,0,1"])
+def test_whole_coordinates_with_colours_or_normals_are_points(tmp_path, rest):
+    (tmp_path / "a.csv").write_text(f"1,2,3,{rest}\n4,5,6,{rest}\n")
+    np.testing.assert_array_equal(read_points(tmp_path / "a.csv"), EXPECTED)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("ncols 4\nnrows 2\nxllcorner 0\ncellsize 1\n1 2 3 4\n5 6 7 8\n", "a grid of heights; expected x, y and z"),
+        ("x [m],y [m],z [m]\nmm,mm,mm\n1,2,3\n", "column x in m by its name, and in mm by the line below"),
+    ],
+)
+def test_grids_and_two_units_are_refused(tmp_path, text, message):
+    (tmp_path / "a.asc").write_text(text)
+    with pytest.raises(InputError, match=message):
+        read_points(tmp_path / "a.asc")
+
+
+def test_a_plumb_tube_is_not_in_degrees(tmp_path):
+    rng = np.random.default_rng(0)
+    for width in (4e-3, 1e-16):
+        np.save(tmp_path / "a.npy", rng.uniform([3, 4, 0], [3 + width, 4 + width, 12], (300, 3)))
+        assert len(read_cloud(tmp_path / "a.npy")) == 300

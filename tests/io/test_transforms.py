@@ -265,3 +265,36 @@ def test_a_path_that_keeps_its_latest_poses_is_joined(bag):
     flight = read_flight(bag.write())
     np.testing.assert_allclose(flight.prior.T_world_drone, DRONE.T_world_drone, atol=1e-9)
     assert flight.skipped == {}
+
+
+def test_a_path_of_another_map_is_not_joined(bag):
+    """A SLAM restarts: its new path is elsewhere, and shares no stamp with the old one."""
+    bag.clouds()
+    for k, stamp in enumerate(STAMPS):
+        shown, moved = (slice(0, k + 1), 0.0) if k < 2 else (slice(2, k + 1), 5.0)
+        T = DRONE.T_world_drone[shown].copy()
+        T[:, 0, 3] += moved
+        each = [bag.make.odometry(round(s * 1e9), pose) for s, pose in zip(STAMPS[shown], T, strict=True)]
+        each = [bag.make.make(POSE_STAMPED, one.header, one.pose.pose) for one in each]
+        bag.rows.append(("/path", PATH, float(stamp), bag.make.make(PATH, bag.make.header(0, "map"), each)))
+    flight = read_flight(bag.write())
+    np.testing.assert_array_equal(flight.prior.stamp_s, STAMPS[2:])
+    np.testing.assert_allclose(flight.prior.position[:, 0], DRONE.position[2:, 0] + 5.0)
+
+
+def test_a_part_of_a_scan_that_cannot_be_read_leaves_the_others(bag):
+    for frame in ("l0", "l1"):
+        bag.clouds(frame=frame).tf("base_link", frame, np.eye(4))
+    broken = next(
+        message for *_, message in bag.rows if getattr(message, "header", None) and message.header.frame_id == "l1"
+    )
+    broken.width, broken.row_step = 10_000_000, 120_000_000
+    flight = read_flight(bag.odometry().write())
+    assert [len(scan.points.reshape(-1, 3)) for scan in flight.scans] == [20, 40, 40, 40, 40]
+    assert all(scan.fault == "" for scan in flight.scans)
+
+
+@pytest.mark.parametrize("frame", ["optical_flow_link", "lidar_optical_mount", "optical_base", "nonoptical"])
+def test_optical_before_another_word_is_none(bag, frame):
+    scan = next(iter(read_flight(bag.clouds(frame=frame).odometry().write()).scans))
+    np.testing.assert_allclose(scan.points, POINTS)
