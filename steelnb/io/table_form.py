@@ -56,9 +56,10 @@ def read_table(path: Path) -> Table:
     if len(bodies) > 1 and re.fullmatch("[0-9]{1,18}", bodies[0]) and re.search(r"\S[\s,;]+\S", bodies[1]):
         declared = int(bodies[0])
         content, bodies = content[1:], bodies[1:]
-    split = [_cells_of(body) for body in bodies]
-    begin = next((k for k, cells in enumerate(split) if _is_of_numbers(cells, split[k - 1] if k else [])), len(bodies))
-    if begin and split[0][0].lower() in ("ncols", "nrows"):
+    begin, before = 0, list[str]()
+    while begin < len(bodies) and not _is_of_numbers(cells := _cells_of(bodies[begin]), before):
+        begin, before = begin + 1, cells
+    if begin and bodies[0].lower().startswith(("ncols", "nrows")):
         raise ValueError("a grid of heights; expected x, y and z in each line")
     heads, content, bodies = list(zip(content, bodies, strict=True))[:begin], content[begin:], bodies[begin:]
     if not bodies:
