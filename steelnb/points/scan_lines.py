@@ -13,21 +13,19 @@ POINTS_MAX, AROUND_MAX, LINES_MIN = 2000, 12, 20
 that lie along a line."""
 FLAT_MAX = 0.1
 """Maximum ratio of the variances across and along a line."""
-BINS, STRONGEST = 36, 4
-"""Number of bins of 180°, and of the strongest directions, each of three bins. A lattice has no more: chords, struts
-and two diagonals."""
+BINS, SIDE_BINS, STRONGEST = 36, 4, 4
+"""Number of bins of 180°; of those to each side of the direction of rows, which curve; and of the strongest directions
+of a lattice, each of three bins: chords, struts and two diagonals."""
 
 
-def direction_shares(points: Array, normal: Array, radius_m: float) -> Array:
-    """Shares of the lines in a plane that run in the strongest direction, in the strongest of the others, and so on
-    ``(STRONGEST,)``; NaN with too few lines.
+def line_directions(points: Array, normal: Array, radius_m: float) -> Array:
+    """Numbers of lines in a plane by their direction ``(BINS,)``, over 180°; all 0 if there are less than `LINES_MIN`.
 
     ``points (N, 3)``, metres, in the plane with the unit ``normal (3,)``. Lines are what the points within ``radius_m``
     of some of them lie along.
     """
-    shares = np.full(STRONGEST, math.nan)
     if len(points) < LINES_MIN:
-        return shares
+        return np.zeros(BINS)
     u, v = np.linalg.svd(normal[None, :])[2][1:]
     flat = points @ np.column_stack([u, v])
     some = flat[:: -(-len(flat) // POINTS_MAX)]
@@ -40,13 +38,21 @@ def direction_shares(points: Array, normal: Array, radius_m: float) -> Array:
     root = np.hypot(0.5 * (xx - yy), xy)
     is_line = (count > 3) & (0.5 * (xx + yy) - root < FLAT_MAX * (0.5 * (xx + yy) + root))
     if np.count_nonzero(is_line) < LINES_MIN:
-        return shares
+        return np.zeros(BINS)
     angle = 0.5 * np.arctan2(2 * xy, xx - yy)[is_line] % math.pi
-    lines = np.bincount((angle / math.pi * BINS).astype(np.int64) % BINS, minlength=BINS).astype(float)
-    total = lines.sum()
-    for k in range(STRONGEST):
-        three = lines + np.roll(lines, 1) + np.roll(lines, -1)
-        best = int(three.argmax())
-        shares[k] = three[best] / total
-        lines[[best - 1, best, (best + 1) % BINS]] = 0.0
-    return shares
+    return np.bincount((angle / math.pi * BINS).astype(np.int64) % BINS, minlength=BINS).astype(float)
+
+
+def share_of_rows(lines: Array) -> float:
+    """Share of the lines ``(BINS,)`` within `SIDE_BINS` of the strongest direction; 0 without lines."""
+    around = sum(np.roll(lines, shift) for shift in range(-SIDE_BINS, SIDE_BINS + 1))
+    return float(np.max(around) / max(lines.sum(), 1.0))
+
+
+def share_of_lattice(lines: Array) -> float:
+    """Share of the lines ``(BINS,)`` in the `STRONGEST` directions; 1 without lines."""
+    left, total = lines.copy(), lines.sum()
+    for _ in range(STRONGEST):
+        best = int((left + np.roll(left, 1) + np.roll(left, -1)).argmax())
+        left[[best - 1, best, (best + 1) % BINS]] = 0.0
+    return float(1.0 - left.sum() / total) if total else 1.0

@@ -1,5 +1,6 @@
 """The search for the surfaces of a whole cloud, however densely each is sampled."""
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -7,7 +8,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from steelnb.core.types import Array
-from steelnb.points.scan_lines import STRONGEST, direction_shares
+from steelnb.points.scan_lines import line_directions, share_of_lattice, share_of_rows
 from steelnb.points.surfaces import NEAR, Surfaces
 from steelnb.points.voxel_map import VoxelMap
 
@@ -17,7 +18,7 @@ of the usual one; and distance of what is sparse from it, in voxels, since range
 RINGS, NEW_RINGS_MIN, BELOW_MAX, CONTINUED = (8, 16, 32), 0.02, 0.02, 4.0
 """Cells in which ground is sought that was scanned in rings, in multiples of the edge; minimum share of it that is new;
 maximum share of the points below it; and how many times farther than other surfaces it continues past its cells."""
-RINGS_MAX, ROWS_MIN, LINE_CELLS = 0.8, 0.85, 2.5
+RINGS_MAX, ROWS_MIN, LINE_CELLS = 0.8, 0.97, 2.5
 """Maximum share of the lines of rings in four directions, .4 to .6 for ground and 1 for a lattice; minimum share of
 those on a wall in one direction; and radius, in cells, in which a direction is measured."""
 
@@ -39,11 +40,11 @@ def surfaces_of(voxels: VoxelMap, ridge: Array, cell_m: float) -> Surfaces:
         is_sparse[is_sparse] = np.isinf(distance)
 
     def is_level_or_in_rows(wide: Surfaces) -> NDArray[np.bool_]:
-        return wide.is_level | (_lines_off(wide, found, thin, LINE_CELLS * cell_m)[:, 0] >= ROWS_MIN)
+        return wide.is_level | (_lines_off(wide, found, thin, LINE_CELLS * cell_m, share_of_rows) >= ROWS_MIN)
 
     def is_ground_in_rings(wide: Surfaces) -> NDArray[np.bool_]:
-        directions = _lines_off(wide, found, thin, LINE_CELLS * cell_m).sum(axis=1)
-        return wide.is_level & (directions <= RINGS_MAX) & (_share_below(wide, thin) <= BELOW_MAX)
+        straight = _lines_off(wide, found, thin, LINE_CELLS * cell_m, share_of_lattice)
+        return wide.is_level & (straight <= RINGS_MAX) & (_share_below(wide, thin) <= BELOW_MAX)
 
     near_m = NEAR * cell_m
     for wider in COARSER:
@@ -56,15 +57,17 @@ def surfaces_of(voxels: VoxelMap, ridge: Array, cell_m: float) -> Surfaces:
     return replace(found, reach_m=np.where(is_in_rings, CONTINUED, 1.0) * found.reach_m)
 
 
-def _lines_off(wide: Surfaces, known: Surfaces, points: Array, radius_m: float) -> Array:
-    """`direction_shares` of the ``points (N, 3)`` on each surface that lie on none of those that are ``known``:
-    ``(S, STRONGEST)``."""
+def _lines_off(
+    wide: Surfaces, known: Surfaces, points: Array, radius_m: float, share: Callable[[Array], float]
+) -> Array:
+    """A share of the lines ``(S,)`` along which the ``points (N, 3)`` on each surface lie, without those on the known
+    surfaces."""
     label = np.where(known.label_of(points) < 0, wide.label_of(points), -1)
-    shares = np.empty((len(wide), STRONGEST))
+    found = np.empty(len(wide))
     for k, cells in enumerate(wide.cells):
         normal = np.linalg.svd(cells - cells.mean(axis=0), full_matrices=False)[2][2]
-        shares[k] = direction_shares(points[label == k], normal, radius_m)
-    return shares
+        found[k] = share(line_directions(points[label == k], normal, radius_m))
+    return found
 
 
 def _share_below(wide: Surfaces, points: Array) -> Array:

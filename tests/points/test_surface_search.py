@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from steelnb.fusion.whole_cloud import bars_of_cloud
-from steelnb.points.scan_lines import direction_shares
+from steelnb.points.scan_lines import line_directions, share_of_lattice, share_of_rows
 from tests.lattice import lattice, scanned
 from tests.scanner import seen
 
@@ -46,15 +46,22 @@ def test_directions_are_those_of_the_lines():
     flat = np.zeros_like(along)
     ways = [(along, flat + k) for k in range(5)] + [(flat + k, along) for k in range(3)]
     grid = np.concatenate([np.column_stack([x, y, flat]) for x, y in ways])
-    np.testing.assert_allclose(direction_shares(grid, UP, 0.25)[:2], [5 / 8, 3 / 8], atol=0.03)
-    np.testing.assert_allclose(direction_shares(grid[:, [2, 0, 1]], AHEAD, 0.25)[:2], [5 / 8, 3 / 8], atol=0.03)
+    for points, normal in ((grid, UP), (grid[:, [2, 0, 1]], AHEAD)):
+        lines = line_directions(points, normal, 0.25)
+        assert abs(share_of_rows(lines) - 5 / 8) < 0.03
+        assert share_of_lattice(lines) > 0.97
+    rows = line_directions(grid[: 5 * len(along)], UP, 0.25)
+    assert share_of_rows(rows) == 1.0
     turn = rng.uniform(0, 2 * np.pi, 20_000)
     ring = np.repeat(np.arange(2, 12), 2000)
-    rings = np.column_stack([ring * np.cos(turn), ring * np.sin(turn), 0 * turn])
-    assert 0.3 < direction_shares(rings, UP, 0.25).sum() < 0.5
+    rings = line_directions(np.column_stack([ring * np.cos(turn), ring * np.sin(turn), 0 * turn]), UP, 0.25)
+    assert 0.3 < share_of_lattice(rings) < 0.5
+    assert share_of_rows(rings) < 0.35
 
 
-def test_few_points_and_scattered_ones_have_no_directions():
+def test_few_points_and_scattered_ones_have_no_lines():
     rng = np.random.default_rng(0)
     for points in (np.zeros((0, 3)), np.zeros((5, 3)), rng.uniform(0, 1, (300, 3)) * [1, 1, 0]):
-        assert np.isnan(direction_shares(points, UP, 0.25)).all()
+        lines = line_directions(points, UP, 0.25)
+        assert not lines.any()
+        assert (share_of_rows(lines), share_of_lattice(lines)) == (0.0, 1.0)
