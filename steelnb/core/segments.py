@@ -39,13 +39,10 @@ class Lines:
 
     def checked(self) -> "Lines":
         """The lines in the types that kernels are compiled for. Raises `InputError` for anchors and directions that are
-        not finite, negative counts, and labels of no line."""
+        not finite, and negative counts and labels below −1."""
         anchor, direction = (_finite(getattr(self, name), f"Lines.{name}") for name in ("anchor", "direction"))
         count = _at_least(self.count, "Lines.count", 0, np.int64)
-        label = _at_least(self.label, "Lines.label", -1, np.int64)
-        if label.max(initial=-1) >= len(self):
-            raise InputError(f"Lines.label: {label.max()}; expected less than the number of lines, {len(self)}")
-        return Lines(anchor, direction, count, label)
+        return Lines(anchor, direction, count, _at_least(self.label, "Lines.label", -1, np.int64))
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,7 +67,7 @@ class Segments:
 
     def checked(self) -> "Segments":
         """The segments in the types that kernels are compiled for. Raises `InputError` for ends that are not finite,
-        and for counts and radii that are not at least 0."""
+        and for negative counts and radii; unknown radii may be NaN."""
         start, end = (_finite(getattr(self, name), f"Segments.{name}") for name in ("start", "end"))
         count = _at_least(self.count, "Segments.count", 0, np.int64)
         return Segments(start, end, count, _at_least(self.radius, "Segments.radius", 0, np.float64))
@@ -121,15 +118,24 @@ def _writable(array: Any, dtype: Any) -> NDArray[Any]:
     return array if array.dtype == dtype and array.flags.writeable else np.array(array, dtype=dtype)
 
 
+def _plain(array: Any) -> NDArray[Any]:
+    """A plain array of a data frame's column, or of a masked one, whose masked values are NaN."""
+    return np.asarray(np.ma.filled(array.astype(float), np.nan) if isinstance(array, np.ma.MaskedArray) else array)
+
+
 def _finite(array: Array, name: str) -> Array:
+    array = _plain(array)
     if not math.isfinite(array.sum()):  # the sum of finite coordinates is finite
         checks.checked_array(array, name, ("M", 3))
     return _writable(array, np.float64)
 
 
 def _at_least(array: NDArray[Any], name: str, low: int, dtype: Any) -> NDArray[Any]:
-    if not (low <= array.min(initial=low) and array.max(initial=low) < np.inf):
-        off = array[~((array >= low) & (array < np.inf))][0]
+    """Finite numbers of at least ``low``; NaN, for unknown, if the type is a float."""
+    array = _plain(array)
+    known = array[~np.isnan(array)] if dtype is np.float64 else array
+    if not (low <= known.min(initial=low) and known.max(initial=low) < np.inf):
+        off = known[~((known >= low) & (known < np.inf))][0]
         raise InputError(f"{name}: {off}; expected finite numbers of at least {low}")
     return _writable(array, dtype)
 

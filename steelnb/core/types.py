@@ -6,6 +6,7 @@ for invalid returns, times float64 seconds. World z is up; the drone frame is x 
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -150,14 +151,13 @@ class Flight:
     def __post_init__(self) -> None:
         checks.set_checked(self, T_drone_sensor=checks.checked_pose(self.T_drone_sensor, "Flight.T_drone_sensor"))
         for name, kind in (
-            ("prior", Trajectory), ("imu", Imu | None), ("images", CameraImages | None), ("name", str),
+            ("prior", Trajectory), ("imu", Imu | None), ("images", CameraImages | None), ("name", str | Path),
             ("facts", Mapping), ("skipped", Mapping),
         ):  # fmt: skip
             checks.checked_kind(getattr(self, name), f"Flight.{name}", kind)
-        checks.check_sequence(self.range_sigmas, "Flight.range_sigmas", "two numbers")
-        checks.check_length(self.range_sigmas, "Flight.range_sigmas", 2, "of scale and offset")
-        sigmas = tuple(checks.checked_number(each, "Flight.range_sigmas", 0) for each in self.range_sigmas)
-        checks.set_checked(self, range_sigmas=sigmas)
+        both = checks.checked_array(self.range_sigmas, "Flight.range_sigmas", (2,)).tolist()
+        sigmas = tuple(checks.checked_number(each, "Flight.range_sigmas", 0) for each in both)
+        checks.set_checked(self, range_sigmas=sigmas, name=str(self.name))
         checks.check_sequence(self.scans, "Flight.scans", "Scan")
         stamp_s = getattr(self.scans, "stamp_s", None)  # known without reading the scans
         if stamp_s is None and isinstance(self.scans, list | tuple):

@@ -104,10 +104,10 @@ class SegmentMap:
 
         A segment without a match starts a bar. Bars that match each other once they have grown are merged, the later
         into the earlier. A ``segments`` object read before this call does not change. Raises `InputError` for a
-        count that is not positive.
+        count that is not positive, and a radius that is not finite.
         """
-        if not (new.count > 0).all():
-            raise InputError(f"new.count: {new.count.min()}; expected segments of at least 1 point")
+        if not ((new.count > 0).all() and np.isfinite(new.radius).all()):
+            raise InputError("new: a count below 1 or a radius that is not finite; expected segments of points")
         if len(new) and not len(self):
             self._origin = shift_of(new.start[0])
         target = associate(new, self.segments, self.settings)

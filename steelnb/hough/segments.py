@@ -6,6 +6,7 @@ import numpy as np
 
 from steelnb.core.arguments import checks_arguments
 from steelnb.core.checks import check_length, checked_integer, checked_number, checked_points
+from steelnb.core.errors import InputError
 from steelnb.core.types import Array, Lines, Segments
 from steelnb.hough.freedom import freedom_of
 from steelnb.hough.lines import default_dx, detect_lines
@@ -96,6 +97,8 @@ def cut_and_sort(
     """
     points = checked_points(points)
     check_length(lines.label, "lines.label", len(points), "one a point")
+    if lines.label.max(initial=-1) >= len(lines):
+        raise InputError(f"lines.label: {lines.label.max()}; expected less than the number of lines, {len(lines)}")
     checked_number(gap_max, "gap_max", above=0, infinite=True)
     checked_integer(min_points, "min_points", 0)
     checked_number(pca_ratio_min, "pca_ratio_min", 0, 1)

@@ -125,7 +125,7 @@ class VoxelMap:
         It is −1 if none is within ``limit_m``. ``state`` of the last call for the same source saves searches, whose
         number is returned.
         """
-        checked_kind(state, "state", SearchState, "SearchState.of(len(source))")
+        checked_kind(state, "state", tuple, "SearchState.of(len(source))")
         n = len(source)
         if [np.shape(each) for each in (source, match, *state)] != [(n, 3), (n,), (n,), (n,), (n, 3)]:
             raise InputError(
@@ -138,11 +138,11 @@ class VoxelMap:
 
     def _checked(self, slots: IntArray, low: int) -> IntArray:
         """Slots of this map. Raises `InputError`: compiled code would read beyond its arrays."""
-        slots = np.asarray(slots) if np.size(slots) else np.zeros(0, dtype=np.int64)
+        slots = np.asarray(slots) if np.size(slots) else np.zeros(np.shape(slots), dtype=np.int64)
         expected = f"whole numbers from {low} to {self._size - 1}"
-        if slots.dtype.kind not in "iu" or slots.ndim != 1:
+        if slots.dtype.kind not in "iu" or (low < 0 and slots.ndim != 1):
             raise InputError(f"slots: {slots.dtype} of shape {slots.shape}; expected {expected} in an array (N,)")
-        if len(slots) and not low <= slots.min() <= slots.max() < self._size:
+        if slots.size and not low <= slots.min() <= slots.max() < self._size:
             raise InputError(f"slots: {slots[(slots < low) | (slots >= self._size)][0]}; expected {expected}")
         return slots
 

@@ -1,5 +1,6 @@
 """Settings of one experiment: the simulated world and the odometry."""
 
+import numbers
 from typing import Annotated, Any, Self
 
 import numpy as np
@@ -66,7 +67,7 @@ class ExperimentSettings(Settings):
         steps = self.tof.sample_steps() if samples else np.round(first_s / STEP_S)
         # No scan is taken at the last step.
         left = np.count_nonzero((steps * STEP_S >= start_s - STEP_S / 2) & (steps < round(duration_s / STEP_S)))
-        if left < SCANS_MIN:
+        if left < min(SCANS_MIN, len(steps)):
             time_s = steps * STEP_S
             if not samples:
                 raise ValueError(
@@ -110,7 +111,7 @@ class ExperimentSettings(Settings):
         if imu and trajectory in ("zigzag", "loops"):
             flight = flight.replace(still_s=REST_S)
         overrides = {} if overrides is None else overrides
-        _check_given_once(overrides, seed=None if isinstance(seed, int) and seed == SEED else seed, tower=tower)
+        _check_given_once(overrides, seed=None if _is_usual(seed) else seed, tower=tower)
         settings = cls.model_construct(  # checked when they are changed
             sensor=sensor,
             noise_name=noise,
@@ -157,7 +158,7 @@ class ExperimentSettings(Settings):
         if isinstance(settings.odometry, ReportCloudSettings):
             settings = settings.override({"broken_off_s": plot.broken_off_s})
         overrides = {} if overrides is None else overrides
-        _check_given_once(overrides, seed=None if isinstance(seed, str) else seed, tower=tower)
+        _check_given_once(overrides, seed=None if _is_usual(seed) else seed, tower=tower)
         return settings.override(overrides)
 
     @classmethod
@@ -180,6 +181,11 @@ class ExperimentSettings(Settings):
                 TowerSettings.preset(value) if named else value
             )
         return super().override(full)
+
+
+def _is_usual(seed: Any) -> bool:
+    """Whether this may be the seed because none was given."""
+    return isinstance(seed, str) or (isinstance(seed, numbers.Integral) and seed == SEED)
 
 
 def _check_given_once(overrides: dict[str, Any], **arguments: Any) -> None:

@@ -1,9 +1,10 @@
 """Settings of the odometries, one class per family of methods. Lengths in metres, angles in radians."""
 
 from abc import abstractmethod
+from contextlib import suppress
 from typing import Annotated, Any, ClassVar, Literal, Self, get_args
 
-from pydantic import AfterValidator, Field, model_validator
+from pydantic import AfterValidator, Field, ValidationInfo, model_validator
 
 from steelnb.core.checks import quoted
 from steelnb.core.errors import InputError
@@ -213,8 +214,12 @@ FAMILIES: dict[str, type[Family]] = {kind.family: kind for kind in get_args(Fami
 """Family → its settings."""
 
 
-def of_its_method(value: Any) -> Any:
-    """A table of settings as those of its method's family, which tells the classes of `Family` apart."""
+def of_its_method(value: Any, info: ValidationInfo) -> Any:
+    """A table of settings as those of its method's family, which tells the classes of `Family` apart; a sensor's own
+    methods are those of its preset."""
     if not isinstance(value, dict):
         return value
-    return FAMILIES[method_preset(value.get("method"), {})["family"]](**value)  # type: ignore[arg-type]
+    own: dict[str, Any] = {}
+    with suppress(InputError):  # a sensor's file may be elsewhere
+        own = sensor_preset(info.data.get("sensor", "")).get("methods", {})
+    return FAMILIES[method_preset(value.get("method"), own)["family"]](**value)  # type: ignore[arg-type]

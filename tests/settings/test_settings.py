@@ -327,3 +327,14 @@ def test_a_tower_is_named_by_an_argument_or_an_override() -> None:
     for given in ({"tower": "hevy"}, {"overrides": {"tower": "hevy"}}):
         with pytest.raises(InputError, match="tower = 'hevy', did you mean 'heavy'"):
             ExperimentSettings.preset("loops", **given)
+
+
+def test_settings_of_a_sensors_own_method_come_back_from_json(tmp_path):
+    (tmp_path / "own.toml").write_text('based_on = "starling2"\n[methods.best]\nfamily = "faces"\n')
+    settings = ExperimentSettings.preset(sensor=str(tmp_path / "own.toml"), method="best")
+    assert ExperimentSettings(**json.loads(settings.model_dump_json())) == settings
+
+
+@pytest.mark.parametrize("seed", [1, np.int64(1), "report"])
+def test_an_override_of_the_usual_seed_wins(seed):
+    assert ExperimentSettings.preset(seed=seed, overrides={"seed": 7}).seed == 7
