@@ -23,7 +23,7 @@ from steelnb.io.paths import whole_path
 from steelnb.io.scanning import Raw
 from steelnb.io.topics import PoseSource, camera_topic, pose_source, scan_topic
 from steelnb.io.trajectories import read_trajectory, trajectory_of
-from steelnb.io.transforms import BODIES, Tree, check_order, is_world_name
+from steelnb.io.transforms import Tree, check_order, is_body_name, is_world_name
 
 LOOKED_AT = 10
 """Number of messages that tell what an IMU measures."""
@@ -108,7 +108,7 @@ class _Bag:
             found = trajectory_of(self.bag.path, self.headers.rows(topic, 7, "pose"), self.headers.skipped)
         else:
             raise self.headers.faults[topic]
-        if not body and (body := tree.body_of(sensor)).rpartition("/")[2] not in BODIES:
+        if not body and not is_body_name(body := tree.body_of(sensor)):
             self.headers.notes[f"poses are taken for those of {body}, to which {sensor} is fixed"] = None
         body = tree.resolve(body)
         if not world and is_world_name(sensor) and sensor not in tree.frames:

@@ -82,7 +82,7 @@ class Container:
             if unread:
                 raise InputError(f"{path}: messages in {', '.join(unread)}; expected cdr or ros1, the encodings of ROS")
             form, repair = FORMS[next((part.path.suffix.lower() for part in self.parts), "")]
-            repair = repair if any(part.begins_right for part in self.parts) else ""
+            repair = repair if any(has_magic(part.path) for part in self.parts if part.path.is_file()) else ""
             why = f" ({'; '.join(self.notes)})" if self.notes else ""
             if path.is_dir() and any(path.glob(f"*{ZSTD}")):
                 repair = f": unpack its files (`unzstd *{ZSTD}`), since its metadata.yaml cannot be used"
@@ -171,7 +171,7 @@ class Part:
         self.types: dict[str, str] = {}
         self.counts = Counter[str]()
         self.unread: set[str] = set()
-        self.span_ns, self.begins_right = (2**63, 0), True
+        self.span_ns = 2**63, 0
         for beside in (path.with_name(f"{path.name}-{ending}") for ending in ("wal", "journal")):
             if beside.exists() and beside.stat().st_size:
                 merged = f'sqlite3 {path.name} "PRAGMA wal_checkpoint"'
@@ -216,7 +216,6 @@ class Part:
     def _survey(self) -> None:
         """Topics and times from one pass through the file."""
         self.types, self.counts, self.unread, stamps = {}, Counter(), set(), [2**63, 0]
-        self.begins_right = not self.path.is_file() or has_magic(self.path)
         try:
             for raw in scan(self.path, self._note) if self.path.is_file() else ():
                 self._add(raw.topic, raw.kind, raw.encoding, 1)

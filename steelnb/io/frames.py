@@ -69,12 +69,12 @@ def sensor_frames(
         if found is not None and mount is None:
             placed[name] = found
             T_drone_frame = np.linalg.inv(drone_axes(body)) @ found.T_target_source
-            is_upright = is_depth and not is_optical(name) and _is_ahead(name, T_drone_frame[0])
-            if is_upright:  # REP 103: axes are optical only if the name says so
+            is_ahead = is_depth and not is_optical(name) and _is_ahead(name, T_drone_frame[0])
+            if is_ahead:  # REP 103: axes are optical only if the name says so
                 notes.append(
                     f"depth images are in {name}, which stands upright and is not optical by its name: x is ahead"
                 )
-            turn = np.eye(4) if is_upright or not optical[at[0]] else T_OPTICAL_SENSOR
+            turn = np.eye(4) if is_ahead or not optical[at[0]] else T_OPTICAL_SENSOR
             T_drone_scan[at], known[at] = T_drone_frame @ turn, found.known
     main = next(iter(placed), seen[0])
     others = [name for name in seen if name not in placed and name != main]
@@ -112,7 +112,8 @@ def sensor_frames(
 
 
 def _is_ahead(name: str, T_drone_frame: Array) -> bool:
-    """Whether a camera's frame, optical by no name, has x ahead: it stands upright, and is a link or as the drone."""
+    """Whether a depth camera's frame that is not optical by its name has x ahead: it stands upright, and is called a
+    link or aligned with the drone."""
     is_link = bool({"link", "base", "body"} & set(_words(name)))
     return bool(T_drone_frame[2, 2] > UPRIGHT and (is_link or np.diag(T_drone_frame)[:3].min() > ALIGNED))
 

@@ -90,8 +90,8 @@ class Headers:
         return log_s if self._by_log else ros.stamp_of(message), log_s
 
     def _look_at_path(self, raw: Raw) -> None:
-        """Keep the longest Path, and of those that do not grow, which have lost their first poses, one in an eighth of
-        its length: decoding all takes the square of it."""
+        """Keep the longest Path. Those that do not grow have lost their first poses: of them, one is decoded for every
+        eighth of its poses, since decoding all takes the square of their number."""
         self._until_path -= 1
         if self.longest is not None and len(raw.data) <= len(self.longest.data) and self._until_path <= 0:
             with suppress(InputError):

@@ -23,8 +23,8 @@ SAMPLES_MIN = 100
 def usable_samples(rows: Array, topic: str, notes: dict[str, None], skipped: Counter[str]) -> Array:
     """Samples ``(M, 7)`` with rising stamps, in m/s² and rad/s, of ``rows (N, 7)``: stamp, acceleration, angular rate.
 
-    None remain if rates are in another unit; ``notes`` say so, and what is unusual. ``skipped`` counts single samples
-    that are left out.
+    Returns no samples if the rates are in another unit. ``notes`` receive what is unusual, and ``skipped`` counts
+    the samples that are left out.
     """
     whole = rows[(np.abs(rows[:, 1:]) < READING_MAX).all(axis=1) & np.isfinite(rows[:, 0])]
     skipped["inertial sample that is not finite"] += len(rows) - len(whole)

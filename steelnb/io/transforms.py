@@ -143,7 +143,7 @@ class Tree:
         """The frame with a drone's usual name that carries ``sensor``, else the topmost one to which it is fixed; the
         first such name if it has no place."""
         above = self.above(sensor)
-        if named := [frame for frame in above if _last(frame) in BODIES]:
+        if named := [frame for frame in above if is_body_name(frame)]:
             return min(named, key=lambda frame: BODIES.index(_last(frame)))
         fixed = [frame for frame, way in above.items() if not is_world_name(frame) and not self.moves(way)]
         return max(fixed, key=lambda frame: len(above[frame])) if len(above) > 1 and fixed else BODIES[0]
@@ -192,12 +192,17 @@ def _space(frame: str) -> str:
 
 def check_order(world: str, body: str) -> tuple[str, str]:
     """Both names; raises `InputError` if the world has the usual name of a drone, and the drone that of a world."""
-    if _last(world) in BODIES and is_world_name(body):
+    if is_body_name(world) and is_world_name(body):
         raise InputError(
             f"poses of {body!r} in {world!r}: expected those of the drone in the world, as from tf by "
             f"--poses '{body}>{world}'"
         )
     return world, body
+
+
+def is_body_name(frame: str) -> bool:
+    """Whether a frame has a usual name of the drone's."""
+    return _last(frame) in BODIES
 
 
 def is_world_name(frame: str) -> bool:

@@ -19,10 +19,10 @@ of a lattice, each of three bins: chords, struts and two diagonals."""
 
 
 def line_directions(points: Array, normal: Array, radius_m: float) -> Array:
-    """Numbers of lines in a plane by their direction ``(BINS,)``, over 180°; all 0 if there are less than `LINES_MIN`.
+    """Numbers of lines in a plane by their direction ``(BINS,)``, over 180°; all 0 if there are fewer than `LINES_MIN`.
 
-    ``points (N, 3)``, metres, in the plane with the unit ``normal (3,)``. Lines are what the points within ``radius_m``
-    of some of them lie along.
+    ``points (N, 3)``, metres, in the plane with the unit ``normal (3,)``. A line is counted at a point if those within
+    ``radius_m`` of it lie along one.
     """
     if len(points) < LINES_MIN:
         return np.zeros(BINS)

@@ -40,11 +40,12 @@ def surfaces_of(voxels: VoxelMap, ridge: Array, cell_m: float) -> Surfaces:
         is_sparse[is_sparse] = np.isinf(distance)
 
     def is_level_or_in_rows(wide: Surfaces) -> NDArray[np.bool_]:
-        return wide.is_level | (_lines_off(wide, found, thin, LINE_CELLS * cell_m, share_of_rows) >= ROWS_MIN)
+        rows = _lines_off(wide, ~wide.is_level, found, thin, LINE_CELLS * cell_m, share_of_rows)
+        return wide.is_level | (rows >= ROWS_MIN)
 
     def is_ground_in_rings(wide: Surfaces) -> NDArray[np.bool_]:
-        straight = _lines_off(wide, found, thin, LINE_CELLS * cell_m, share_of_lattice)
-        return wide.is_level & (straight <= RINGS_MAX) & (_share_below(wide, thin) <= BELOW_MAX)
+        is_lowest = wide.is_level & (_share_below(wide, thin) <= BELOW_MAX)
+        return _lines_off(wide, is_lowest, found, thin, LINE_CELLS * cell_m, share_of_lattice) <= RINGS_MAX
 
     near_m = NEAR * cell_m
     for wider in COARSER:
@@ -58,13 +59,21 @@ def surfaces_of(voxels: VoxelMap, ridge: Array, cell_m: float) -> Surfaces:
 
 
 def _lines_off(
-    wide: Surfaces, known: Surfaces, points: Array, radius_m: float, share: Callable[[Array], float]
+    wide: Surfaces,
+    chosen: NDArray[np.bool_],
+    known: Surfaces,
+    points: Array,
+    radius_m: float,
+    share: Callable[[Array], float],
 ) -> Array:
-    """A share of the lines ``(S,)`` along which the ``points (N, 3)`` on each surface lie, without those on the known
-    surfaces."""
-    label = np.where(known.label_of(points) < 0, wide.label_of(points), -1)
-    found = np.empty(len(wide))
-    for k, cells in enumerate(wide.cells):
+    """A share of the lines ``(S,)`` along which the ``points (N, 3)`` on each ``chosen (S,)`` surface lie, without
+    points on known surfaces; NaN for the other surfaces."""
+    found = np.full(len(wide), np.nan)
+    if not chosen.any():
+        return found
+    label, cells_of = np.where(known.label_of(points) < 0, wide.label_of(points), -1), wide.cells
+    for k in np.flatnonzero(chosen).tolist():
+        cells = cells_of[k]
         normal = np.linalg.svd(cells - cells.mean(axis=0), full_matrices=False)[2][2]
         found[k] = share(line_directions(points[label == k], normal, radius_m))
     return found

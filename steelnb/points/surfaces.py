@@ -159,8 +159,8 @@ class Surfaces:
     def described(self, label: IntArray) -> list[Surface]:
         """Each surface, with its number of the points whose surfaces are ``label (N,)``."""
         found, count = [], np.bincount(label[label >= 0], minlength=len(self))
-        for k in range(len(self)):
-            cells, cell_m = self.point[self.label == k], float(self.cell_m[self.label == k][0])
+        for k, cells in enumerate(self.cells):
+            cell_m = float(self.cell_m[self.label == k][0])
             centre = cells.mean(axis=0)
             value, vector = np.linalg.eigh((cells - centre).T @ (cells - centre) / len(cells))
             seen = np.floor((cells - centre) @ vector[:, 1:] / cell_m).astype(np.int64)
