@@ -12,6 +12,7 @@ from steelnb.odometry.base import BaseOdometry, Outcome, Stopwatch
 from steelnb.odometry.drift_filter import make_prediction
 from steelnb.odometry.near_side import NearSide
 from steelnb.odometry.prediction import LastingError, RegisteredPose
+from steelnb.odometry.wide_surfaces import parted, pixels_on_surfaces, within_plane
 from steelnb.points import VoxelMap, preprocess_scan, smooth_ranges
 from steelnb.points.covariances import UPPER, neighbour_covariances, regularised
 from steelnb.points.kdtree import build_kdtree
@@ -113,6 +114,7 @@ class CloudOdometry(BaseOdometry):
         )  # fmt: skip
         self.sigma_filter_px = s.sigma_filter_px
         self.near_side = NearSide()
+        self._normal = np.zeros((0, 3))  # of the last points that `preprocessed` returned, on wide surfaces
 
     def _update(self, scan: Scan, prior: Array, watch: Stopwatch) -> Outcome:
         T_world_drone, reason, matches, unobserved = self.corrected(scan, prior, watch)
@@ -144,10 +146,19 @@ class CloudOdometry(BaseOdometry):
     def preprocessed(self, scan: Scan, T_world_drone: Array) -> Array:
         """Points ``(N, 3)`` of a scan, drone frame, as they enter the map: denoised, filtered, and moved by the current
         near-side shift. ``T_world_drone (4, 4)`` is an estimate, to cut off the floor."""
+        s, mount, on_surface = self.settings.preprocess, self.T_drone_sensor, np.zeros(0, dtype=bool)
+        if self.style.near_side:
+            on_surface = pixels_on_surfaces(scan.points, T_world_drone @ mount, s.crop_m, s.floor_m)
         if self.sigma_filter_px:
             scan = Scan(scan.stamp_s, smooth_ranges(scan.points, self.sigma_filter_px), scan.fault)
-        points = preprocess_scan(scan, T_world_drone, self.T_drone_sensor, self.settings.preprocess)
-        return self.near_side.shifted(points, self.T_drone_sensor[:3, 3]) if self.style.near_side else points
+        self._normal = np.zeros((0, 3))
+        if not on_surface.any():
+            points = preprocess_scan(scan, T_world_drone, mount, s)
+            return self.near_side.shifted(points, mount[:3, 3]) if self.style.near_side else points
+        without = [np.where(mask[..., None], np.nan, scan.points) for mask in (on_surface, ~on_surface)]
+        parts = [preprocess_scan(Scan(scan.stamp_s, points), T_world_drone, mount, s) for points in without]
+        bars, surfaces, self._normal = parted(*parts)
+        return np.concatenate([self.near_side.shifted(bars, mount[:3, 3]), surfaces])
 
     def _prepare(self, points: Array, T_init: Array) -> tuple[AnyTarget | None, Array | None]:
         """The part of the map that a scan may see, None if empty, and the covariances of the scan's points."""
@@ -172,14 +183,16 @@ class CloudOdometry(BaseOdometry):
 
     def _ray_covariances(self, points: Array) -> Array:
         """Covariances of points, drone frame, as upper triangles ``(N, 6)``. The standard deviation is the range
-        noise along each ray, and half of `SIGMA_M` across it."""
+        noise along each ray, and half of `SIGMA_M` across it; wide surfaces determine the pose along their normals only."""
         ray = points - self.T_drone_sensor[:3, 3]
         distance = np.linalg.norm(ray, axis=1)
         ray = ray / np.maximum(distance, 1e-9)[:, None]
         across = (0.5 * SIGMA_M) ** 2
         extra = range_sigma_m(distance) ** 2 - across
         i, j = UPPER
-        return (extra[:, None] * ray)[:, i] * ray[:, j] + across * np.eye(3)[UPPER]
+        covariance = (extra[:, None] * ray)[:, i] * ray[:, j] + across * np.eye(3)[UPPER]
+        covariance[len(points) - len(self._normal) :] += within_plane(self._normal)
+        return covariance
 
     def _register(
         self, points: Array, covariance: Array | None, target: AnyTarget | None, T_init: Array

@@ -44,14 +44,14 @@ class NearSide:
     def update(self, image: Array) -> None:
         """Add the widths in an organised scan ``(H, W, 3)``, sensor frame."""
         if image.ndim == 3 and min(image.shape[:2]) > 2:
-            total, pixels = apparent_width(np.ascontiguousarray(image, dtype=np.float64))
+            total, pixels = apparent_width(strip_widths(np.ascontiguousarray(image, dtype=np.float64)))
             self._sum_m += total
             self._pixels += pixels
 
 
 @njit(cache=True)
-def apparent_width(image):  # type: ignore[no-untyped-def]
-    """(sum, count) of the width of the strip around each pixel of an organised scan, up to `WIDTH_MAX_M`.
+def strip_widths(image):  # type: ignore[no-untyped-def]
+    """Width of the strip around each pixel ``(H, W)`` of an organised scan ``(H, W, 3)``, metres, 0 where unknown.
 
     If a row crosses a strip of width w over the length h, and a column over v, then 1/w² = 1/h² + 1/v², whatever the
     strip's direction. A run ends at a missing return or where neighbouring ranges differ by more than 0.15 m.
@@ -61,15 +61,21 @@ def apparent_width(image):  # type: ignore[no-untyped-def]
     along_row, along_column = np.zeros((rows, columns)), np.zeros((rows, columns))
     measure_runs(image, distance, 1, along_row)
     measure_runs(image.transpose(1, 0, 2), distance.T, 2, along_column.T)
-    total, count = 0.0, 0
     for r in range(rows):
         for c in range(columns):
             h, v = along_row[r, c], along_column[r, c]
-            if h > 0.0 and v > 0.0:
-                width = h * v / np.sqrt(h * h + v * v)
-                if width < WIDTH_MAX_M:
-                    total += width
-                    count += 1
+            along_row[r, c] = h * v / np.sqrt(h * h + v * v) if h > 0.0 and v > 0.0 else 0.0
+    return along_row
+
+
+@njit(cache=True)
+def apparent_width(width):  # type: ignore[no-untyped-def]
+    """(sum, count) of the `strip_widths` up to `WIDTH_MAX_M`."""
+    total, count = 0.0, 0
+    for w in width.flat:
+        if 0.0 < w < WIDTH_MAX_M:
+            total += w
+            count += 1
     return total, count
 
 

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from steelnb.odometry.near_side import SHARE_OF_WIDTH, NearSide, apparent_width
+from steelnb.odometry.near_side import SHARE_OF_WIDTH, NearSide, apparent_width, strip_widths
 from steelnb.settings import TofSettings
 from steelnb.simulation.raycasting import rays
 
@@ -19,33 +19,33 @@ def strip(width_m, angle_deg, distance_m=3.0, columns=240, rows=240):
 @pytest.mark.parametrize("angle_deg", [0, 30, 45, 70, 90])
 @pytest.mark.parametrize("width_m", [0.1, 0.2])
 def test_the_width_of_a_strip_is_seen_whatever_its_direction(width_m, angle_deg):
-    total, pixels = apparent_width(strip(width_m, angle_deg))
+    total, pixels = apparent_width(strip_widths(strip(width_m, angle_deg)))
     assert pixels > 1000
     assert total / pixels == pytest.approx(width_m, rel=0.12)
 
 
 def test_walls_and_lone_pixels_do_not_count():
-    assert apparent_width(strip(2.0, 0))[1] == 0
+    assert apparent_width(strip_widths(strip(2.0, 0)))[1] == 0
     lone = np.full((9, 9, 3), np.nan)
     lone[4, 4] = [2, 0, 0]
-    assert apparent_width(lone) == (0.0, 0)
+    assert apparent_width(strip_widths(lone)) == (0.0, 0)
 
 
 @pytest.mark.parametrize("x", [0.0, -1.0])
 def test_what_is_not_before_the_sensor_is_no_return(x):
     scan = strip(0.1, 30)
     marked = np.where(np.isfinite(scan), scan, [x, 0.0, 0.0])
-    assert apparent_width(marked) == apparent_width(scan)
+    assert apparent_width(strip_widths(marked)) == apparent_width(strip_widths(scan))
     scan[:, :2] = [x, 0.5, 0.1]
-    assert np.isfinite(apparent_width(scan)[0])
+    assert np.isfinite(apparent_width(strip_widths(scan))[0])
 
 
 def test_a_step_in_range_ends_a_run():
     near, far = strip(0.1, 0), strip(0.6, 0, distance_m=4.0)
     both = np.where(np.isfinite(near), near, far)
-    total, pixels = apparent_width(both)
+    total, pixels = apparent_width(strip_widths(both))
     assert total / pixels > 0.1  # the strip, and the two pieces of wall beside it
-    assert pixels > 2 * apparent_width(near)[1]
+    assert pixels > 2 * apparent_width(strip_widths(near))[1]
 
 
 def test_the_share_is_that_of_an_angle_section_with_thickness():

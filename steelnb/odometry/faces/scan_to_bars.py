@@ -16,6 +16,7 @@ from steelnb.fusion.adjustment.problem import Bars, Problem
 from steelnb.fusion.point_to_bar import BarVoxels, Observations, face_residuals, world_points
 from steelnb.fusion.ridges import VOXEL_M
 from steelnb.fusion.sections.shapes import THICKNESS_SPREAD
+from steelnb.odometry.wide_surfaces import pixels_on_surfaces
 
 MATCH_REACH_M, MATCH_MARGIN_M = 0.15, 0.03
 """Reach and margin of the voxels of a bar (`BarVoxels.around`)."""
@@ -140,7 +141,9 @@ class Locator:
 
 
 def points_in_range(scan: Scan, T_world_sensor: Array, range_max_m: float, floor_m: float, count: int) -> Array:
-    """About ``count`` points ``(N, 3)`` of a scan, sensor frame, within range and above the floor, picked evenly."""
+    """About ``count`` points ``(N, 3)`` of a scan, sensor frame, within range, above the floor, and not on surfaces
+    that are too wide for bars, picked evenly."""
     flat = np.ascontiguousarray(scan.points).reshape(-1, 3)
-    world = world_points(flat, T_world_sensor, range_max_m, floor_m)[0]
+    world, _, index = world_points(flat, T_world_sensor, range_max_m, floor_m)
+    world = world[~pixels_on_surfaces(scan.points, T_world_sensor, range_max_m, floor_m).ravel()[index]]
     return np.asarray((world[:: max(1, len(world) // count)] - T_world_sensor[:3, 3]) @ T_world_sensor[:3, :3])

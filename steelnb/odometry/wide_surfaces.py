@@ -1,0 +1,58 @@
+"""Surfaces in a scan that are too wide for bars: ground, walls and decks.
+
+No axis lies behind them, so the near-side bias is none of theirs. And the map's points on them lie where the sensor has
+sampled them, so that pairs determine the pose along the normal only. Within the surface they hold it where it is
+predicted: with ground in view, odometry by clouds lost its accuracy along both other axes.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from steelnb.core.types import Array
+from steelnb.fusion.point_to_bar import world_points
+from steelnb.odometry.near_side import WIDTH_MAX_M, strip_widths
+from steelnb.points.covariances import UPPER, neighbour_covariances, normals
+
+SHARE_MIN = 0.05
+"""Minimum share of a scan's points on such surfaces. Below it they are bars that cross in the image: up to 0.01."""
+BESIDE_M, ASIDE_M = 0.5, 0.04
+"""Points this near to one on a surface, and this near to its plane, are on it too: seen between two bars, a surface is
+as narrow as they are."""
+PLANE_M2 = 1.0
+"""Variance within a surface, as in GICP's plane-to-plane model."""
+
+
+def pixels_on_surfaces(points: Array, T_world_sensor: Array, range_max_m: float, floor_m: float) -> NDArray[np.bool_]:
+    """Mask of the pixels of an organised scan ``(H, W, 3)``, sensor frame, on surfaces wider than `WIDTH_MAX_M`.
+
+    It is false everywhere if they are fewer than `SHARE_MIN` of the points within range and above the floor, and for a
+    cloud without order ``(N, 3)``.
+    """
+    none = np.zeros(points.shape[:-1], dtype=bool)
+    if points.ndim < 3 or min(none.shape) < 3:
+        return none
+    wide = strip_widths(np.ascontiguousarray(points, dtype=np.float64)) >= WIDTH_MAX_M
+    used = world_points(np.ascontiguousarray(points).reshape(-1, 3), T_world_sensor, range_max_m, floor_m)[2]
+    return wide if len(used) and wide.ravel()[used].mean() >= SHARE_MIN else none
+
+
+def parted(bars: Array, surfaces: Array) -> tuple[Array, Array, Array]:
+    """Filtered points ``(N, 3)`` off and ``(M, 3)`` on wide surfaces, with those of the first that lie beside a surface
+    (`BESIDE_M`) moved to the second; and the unit normals ``(M, 3)`` of the second."""
+    normal = normals(neighbour_covariances(surfaces))
+    distance, near = cKDTree(surfaces).query(bars, distance_upper_bound=BESIDE_M)
+    found = np.flatnonzero(np.isfinite(distance))
+    aside = np.einsum("ni,ni->n", bars[found] - surfaces[near[found]], normal[near[found]])
+    beside = found[np.abs(aside) < ASIDE_M]
+    return (
+        np.delete(bars, beside, axis=0),
+        np.concatenate([surfaces, bars[beside]]),
+        np.concatenate([normal, normal[near[beside]]]),
+    )
+
+
+def within_plane(normal: Array) -> Array:
+    """Covariances ``(M, 6)`` of `PLANE_M2` within the planes of unit normals ``(M, 3)``: upper triangles, m²."""
+    i, j = UPPER
+    return np.asarray(PLANE_M2 * (np.eye(3)[UPPER] - normal[:, i] * normal[:, j]))

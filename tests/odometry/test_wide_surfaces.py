@@ -1,0 +1,60 @@
+import numpy as np
+import pytest
+
+from steelnb.core.types import Flight
+from steelnb.experiment import estimate, redrift
+from steelnb.odometry.wide_surfaces import ASIDE_M, parted, pixels_on_surfaces, within_plane
+from steelnb.settings import ExperimentSettings
+from steelnb.simulation import Truth, build_tower, fly, scan_flight
+from tests.odometry.test_near_side import strip
+
+
+def over(distance_m, columns, rows=240):
+    """Organised scan of a wall that covers the first ``columns``, and of a strip 10 cm wide before it."""
+    wall, bar = strip(20.0, 0, distance_m=distance_m, rows=rows), strip(0.1, 20, rows=rows)
+    wall[:, columns:] = np.nan
+    return np.where(np.isfinite(bar), bar, wall), np.isfinite(bar[..., 0]), np.isfinite(wall[..., 0])
+
+
+def test_walls_are_told_from_bars_and_a_cloud_without_order_has_none():
+    scan, bar, wall = over(4.0, 240)
+    found = pixels_on_surfaces(scan, np.eye(4), 6.0, -10.0)
+    assert not found[bar].any()
+    assert found[wall & ~bar].mean() > 0.95
+    assert not pixels_on_surfaces(scan.reshape(-1, 3), np.eye(4), 6.0, -10.0).any()
+    assert not pixels_on_surfaces(scan[:2], np.eye(4), 6.0, -10.0).any()
+
+
+def test_what_is_out_of_range_or_below_the_floor_does_not_count():
+    scan, *_ = over(4.0, 240)
+    assert not pixels_on_surfaces(scan, np.eye(4), 3.9, -10.0).any()  # only the strip is in range
+    assert not pixels_on_surfaces(scan, np.eye(4), 6.0, 10.0).any()
+    assert not pixels_on_surfaces(over(4.0, 0)[0], np.eye(4), 6.0, -10.0).any()
+
+
+def test_points_beside_a_surface_join_it_with_its_normal():
+    x, y = np.meshgrid(np.arange(-1, 1, 0.05), np.arange(-1, 1, 0.05))
+    ground = np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)])
+    bar = np.column_stack([np.zeros((21, 2)), np.linspace(0.0, 1.0, 21)])
+    bars, surfaces, normal = parted(np.concatenate([bar, [[1.2, 0.0, 0.01], [3.0, 0.0, 0.0]]]), ground)
+    assert (bars[:-1, 2] >= ASIDE_M).all()
+    assert bars[-1] == pytest.approx([3.0, 0.0, 0.0])  # too far from what is known to be ground
+    assert len(bars) + len(surfaces) == len(ground) + 23
+    assert np.abs(normal[:, 2]) == pytest.approx(np.ones(len(surfaces)))
+    assert within_plane(normal[:1])[0] == pytest.approx([1, 0, 0, 1, 0, 0], abs=1e-9)
+    assert len(parted(np.zeros((0, 3)), ground)[0]) == 0
+
+
+@pytest.mark.parametrize("seed", [11, 13])
+def test_ground_in_view_costs_no_accuracy(seed):
+    settings = ExperimentSettings.preset("zigzag", "random-walk", "best", "starling2", seed, 5.0, tower="slender")
+    tower = build_tower(settings.tower)
+    trajectory, _ = fly(tower, settings.flight, seed)
+    scans, visibility = scan_flight(tower, trajectory, settings.tof, seed)
+    truth, at = Truth(trajectory, tower, visibility), trajectory.at(scans.stamp_s)
+    error = []
+    for floor_m in (settings.odometry.preprocess.floor_m, -10.0):
+        changed = settings.override({"preprocess.floor_m": floor_m})
+        flight = redrift(changed, Flight(scans, at, settings.tof.T_drone_sensor), truth)
+        error.append(estimate(changed, flight, truth).metrics["ate_rmse_m"])
+    assert error[1] < 1.25 * error[0]  # 1.5 to 3 times as large when ground was taken for bars
