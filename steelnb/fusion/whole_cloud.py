@@ -39,6 +39,9 @@ and the minimum share of the default's length that lies inside theirs."""
 REST_MIN, MODEL_MIN = 0.2, 0.5
 """Minimum share of the points on no surface that lie on no bar, for another search with wider tubes among them; and for
 one with narrower tubes in the whole cloud, as of a scale model, which counts if it leaves less than the first."""
+STEEL_MAX = 0.9
+"""A cloud is searched again if the points on no surface call for a tube below this share of that of the whole cloud:
+ground may be sampled more sparsely than steel."""
 OFF_MIN = 0.05
 """A cloud with a smaller share of its points off all surfaces has no bars worth a search with wider tubes."""
 
@@ -48,7 +51,7 @@ class CloudBars:
     """The bars of a cloud, strongest first, and the surfaces that were left out.
 
     ``freedom (B,)``: share of the points around a bar that lie on it, 0 to 1 (`freedom_of`); ``width_m (B,)``;
-    ``surfaces``, largest first; ``surface (N,)``: number of the surface that each point of the cloud lies on, or −1;
+    ``surfaces``; ``surface (N,)``: number of the surface that each point of the cloud lies on, or −1;
     ``voxel_m``: edge of the voxels in which the points were accumulated; ``tube_m``: radius of the tubes;
     ``typical_m``: median width of the bars before those were dropped that do not stand free, NaN if there were none.
     """
@@ -124,16 +127,23 @@ def bars_of_cloud(
     `fusion.joints`). A bar stands free (`freedom_of`), and if it is short, its ends meet others.
 
     ``tube_m``: radius of the tube that holds a bar's points. All lengths of the search are proportional to it. By
-    default, it is that of `default_tube`; if the bars do not fit in it, twice and four times that are tried. If they
-    leave more than `REST_MIN` of the points on no surface, bars of these widths are sought in those; if they leave
-    more than `MODEL_MIN`, narrower tubes are tried, down to the spacing of the points.
+    default, it is that of `default_tube`, for the points on no surface if that is less (`STEEL_MAX`); if the bars do
+    not fit in it, twice and four times that are tried. If they leave more than `REST_MIN` of the points on no surface,
+    bars of these widths are sought in those; if they leave more than `MODEL_MIN`, narrower tubes are tried, down to the
+    spacing of the points.
     ``min_votes``: minimum number of ridge voxels of a bar.
     """
-    narrow_m = tube_m or max(default_tube(points), (voxel_m or 0.0) * TUBE_M / VOXEL_M)
-    tries = (_bars_at_scale(points, each * narrow_m / TUBE_M, voxel_m, min_votes) for each in (1, *WIDER))
-    found = next(tries)
+    least_m = (voxel_m or 0.0) * TUBE_M / VOXEL_M
+    narrow_m = tube_m or max(default_tube(points), least_m)
+    found = _bars_at_scale(points, narrow_m / TUBE_M, voxel_m, min_votes)
     if tube_m is not None:
         return found
+    steel = points[found.surface < 0]
+    of_steel_m = max(default_tube(steel), least_m) if len(steel) > min_votes else narrow_m
+    if of_steel_m < STEEL_MAX * narrow_m:
+        narrow_m = of_steel_m
+        found = _bars_at_scale(points, narrow_m / TUBE_M, voxel_m, min_votes)
+    tries = (_bars_at_scale(points, each * narrow_m / TUBE_M, voxel_m, min_votes) for each in WIDER)
     if not found.fit_tubes and not found.all_on_surfaces:
         found = next((each for each in tries if each.fit_tubes and each.share_inside(found.bars) >= KEPT_MIN), found)
     rest, off = found.off(points), np.count_nonzero(found.surface < 0)

@@ -15,7 +15,7 @@ from steelnb.points.voxel_map import VoxelMap
 COARSER, DENSE_MIN, CLEAR_VOXELS = (2, 4), 4, 3
 """See `surfaces_of`: wider cells, in multiples of the edge; number of points in a voxel of dense steel, or this part
 of the usual one; and distance of what is sparse from it, in voxels, since range noise spreads points around a bar."""
-RINGS, NEW_RINGS_MIN, BELOW_MAX, CONTINUED = (8, 16, 32), 0.02, 0.02, 4.0
+RINGS, NEW_RINGS_MIN, BELOW_MAX, CONTINUED = (8, 16, 32), 0.02, 0.02, 6.4
 """Cells in which ground is sought that was scanned in rings, in multiples of the edge; minimum share of it that is new;
 maximum share of the points below it; and how many times farther than other surfaces it continues past its cells."""
 RINGS_MAX, ROWS_MIN, LINE_CELLS = 0.8, 0.97, 2.5
@@ -28,7 +28,7 @@ def surfaces_of(voxels: VoxelMap, ridge: Array, cell_m: float) -> Surfaces:
     sampled more sparsely than the steel has gaps, and its points lie along many lines. Level surfaces are sought in the
     whole cloud, too: if its density varies, ground may be as dense as steel elsewhere. Towers of few points have faces
     with the look of walls, but no floors; a wall that was scanned in rows has lines in one direction. The lowest
-    surface may have been scanned in rings: then its lines have all directions."""
+    surface may have been scanned in rings: then its lines have all directions. All continue to their rims."""
     found, thin, weight = Surfaces.found_in(ridge, cell_m), voxels.means(), voxels.weights()
     ordered = np.sort(weight)
     usual = ordered[np.searchsorted(np.cumsum(ordered), weight.sum() / 2)]  # half of the points lie in fuller voxels
@@ -54,8 +54,9 @@ def surfaces_of(voxels: VoxelMap, ridge: Array, cell_m: float) -> Surfaces:
         label = found.label_of(thin)
     for wider in RINGS:
         found = found.extended(thin, wider * cell_m, near_m, is_ground_in_rings, NEW_RINGS_MIN)
+    # Last, since what is sought in wider cells must be new.
     is_in_rings = found.cell_m > COARSER[-1] * cell_m
-    return replace(found, reach_m=np.where(is_in_rings, CONTINUED, 1.0) * found.reach_m)
+    return replace(found, reach_m=np.where(is_in_rings, CONTINUED, 1.0) * found.reach_m).grown(thin)
 
 
 def _lines_off(

@@ -10,22 +10,24 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from steelnb.core.kernels import njit
 from steelnb.core.types import Array, IntArray
-from steelnb.points.moments import eigen
-from steelnb.points.voxel_kernels import find, hash_table, offsets_within
+from steelnb.points.filters import voxel_grid
+from steelnb.points.surface_kernels import DISC, local_planes
+from steelnb.points.voxel_kernels import hash_table, offsets_within
 from steelnb.points.voxel_map import VoxelMap
 
-DISC = 3.5
-"""Radius, in cells, of the disc that points must cover."""
-COVERED_MIN = 0.7
-"""Minimum share of the disc that is covered. Bars that meet at a joint of a lattice cover less than half of it."""
-NEAR, ASIDE_MAX = 1.2, 0.3
-"""Maximum distance, in cells, of points of a surface from it, and maximum share of those around that are farther."""
+NEAR = 1.2
+"""Maximum distance, in cells, of points of a surface from it."""
 BAND = 1.5
 """Points within this many of the smallest cells of a surface belong to it; range noise spreads them."""
 TURN_MAX_RAD = math.radians(15)
 """Maximum angle between the normals of neighbouring cells of one surface."""
+BESIDE = 2.5
+"""Points within this many cells of a surface's cell, and in its band, belong to it. Covered discs end one to two cells
+before its rim."""
+STEP, STEPS, RISE_MAX = 1.2, 14, 0.4
+"""How far apart cells are that continue a surface, in cells; maximum number of steps; and maximum distance of a cell
+from the plane at the step before, as a share of the band. A member beside a deck is off its plane or behind a gap."""
 NEW_MIN = 0.1
 """Minimum share of a surface in wider cells that narrower ones have not found."""
 CELLS_MIN = 80
@@ -58,8 +60,8 @@ class Surface:
 @dataclass(frozen=True, eq=False)
 class Surfaces:
     """The cells of all surfaces: edge ``cell_m (C,)`` and mean ``point (C, 3)``, metres, unit ``normal (C, 3)``,
-    ``reach_m (C,)``, how far past the cell its surface continues, and number of the surface ``label (C,)``, those found
-    first and the largest first. Points within ``band_m`` of a surface belong to it."""
+    ``reach_m (C,)``, how far past the cell its surface continues, and number of the surface ``label (C,)``, those in
+    narrow cells first. Points within ``band_m`` of a surface belong to it."""
 
     cell_m: Array
     point: Array
@@ -82,7 +84,7 @@ class Surfaces:
         mean, key = voxels.means(), voxels.keys()
         around = offsets_within(DISC * cell_m, cell_m)
         near_m = near_m or NEAR * cell_m
-        point, normal, inner = _local_planes(key, mean, cell_m, near_m, around, *hash_table(key, len(key)))
+        point, normal, inner = local_planes(key, mean, cell_m, near_m, around, *hash_table(key, len(key)))
         point, normal, band_m = point[inner], normal[inner], BAND / NEAR * near_m
         if not inner.any():
             return cls(np.zeros(0), point, normal, np.zeros(0), np.zeros(0, dtype=np.int64), band_m)
@@ -96,7 +98,29 @@ class Surfaces:
         rank[np.argsort(-size, kind="stable")] = np.arange(len(size))
         large = size[group] >= CELLS_MIN
         cell = np.full(large.sum(), cell_m)
-        return cls(cell, point[large], normal[large], (DISC + 0.5) * cell, rank[group[large]], band_m)
+        return cls(cell, point[large], normal[large], BESIDE * cell, rank[group[large]], band_m)
+
+    def grown(self, points: Array) -> "Surfaces":
+        """These, continued to their rims and over what is seen in patches: cells of a cloud ``(N, 3)`` that lie next to
+        each other, each in the plane of the one before."""
+        if not len(self.point):
+            return self
+        rest, parts, edge = voxel_grid(points, float(self.cell_m.min())), [self], self
+        for _ in range(STEPS):
+            if not len(edge.point) or not len(rest):
+                break
+            far_m = STEP * edge.cell_m
+            distance, before = cKDTree(edge.point).query(rest, distance_upper_bound=float(far_m.max()))
+            near = np.flatnonzero(distance < np.append(far_m, 0.0)[before])
+            normal = edge.normal[before[near]]
+            rise = np.einsum("ni,ni->n", rest[near] - edge.point[before[near]], normal)
+            level = np.abs(rise) <= RISE_MAX * self.band_m
+            near, rise, normal = near[level], rise[level, None], normal[level]
+            cell_m, label = edge.cell_m[before[near]], edge.label[before[near]]
+            edge = Surfaces(cell_m, rest[near] - rise * normal, normal, cell_m, label, self.band_m)
+            parts.append(edge)
+            rest = np.delete(rest, near, axis=0)
+        return Surfaces._joined(parts)
 
     def extended(
         self,
@@ -113,9 +137,14 @@ class Surfaces:
         if choose is not None:
             wide = wide._with(choose(wide))
         kept = self._with(self._share_of(wide.label_of(self.point) >= 0) < 0.5)
-        pairs = [(getattr(kept, name), getattr(wide, name)) for name in ("cell_m", "point", "normal", "reach_m")]
-        cell, point, normal, reach_m = map(np.concatenate, pairs)
-        return Surfaces(cell, point, normal, reach_m, np.concatenate([kept.label, wide.label + len(kept)]), wide.band_m)
+        return Surfaces._joined([kept, replace(wide, label=wide.label + len(kept))])
+
+    @staticmethod
+    def _joined(parts: "list[Surfaces]") -> "Surfaces":
+        """The cells of all, with the band of the last."""
+        names = ("cell_m", "point", "normal", "reach_m", "label")
+        cell_m, point, normal, reach_m, label = (np.concatenate([getattr(p, name) for p in parts]) for name in names)
+        return Surfaces(cell_m, point, normal, reach_m, label, parts[-1].band_m)
 
     @property
     def is_level(self) -> NDArray[np.bool_]:
@@ -142,7 +171,7 @@ class Surfaces:
 
     def label_of(self, points: Array) -> IntArray:
         """Number ``(N,)`` of the surface that each point ``(N, 3)`` lies on, or −1."""
-        label, own_m = np.full(len(points), -1, dtype=np.int64), (DISC + 0.5) * self.cell_m
+        label, own_m = np.full(len(points), -1, dtype=np.int64), np.minimum(self.reach_m, BESIDE * self.cell_m)
         for reach_m in (own_m, np.where(self.reach_m > own_m, self.reach_m, 0.0)):
             cells, rest = np.flatnonzero(reach_m), np.flatnonzero(label < 0)
             if len(cells) and len(rest):
@@ -167,66 +196,3 @@ class Surfaces:
             area_m2 = len(np.unique(seen, axis=0)) * cell_m**2
             found.append(Surface(centre, vector[:, 0], area_m2, math.sqrt(max(value[0], 0.0)), int(count[k])))
         return found
-
-
-@njit(cache=True, nogil=True)
-def _local_planes(centre, mean, cell, reach, around, key, slot):  # type: ignore[no-untyped-def]
-    """Plane through the cells around each cell: a point of it ``(M, 3)``, its normal ``(M, 3)``, and whether it is
-    covered ``(M,)`` by those within ``reach`` of it. These alone determine a covered plane: steel stands on ground."""
-    count = len(centre)
-    point, normal, inner = np.zeros((count, 3)), np.zeros((count, 3)), np.zeros(count, np.bool_)
-    others, is_covered = np.empty(len(around), np.int64), np.zeros(64, np.bool_)
-    full = math.pi * DISC * DISC
-    for n in range(count):
-        found = 0
-        for k in range(len(around)):
-            other = find(centre[n] + around[k], key, slot)
-            if other >= 0:
-                others[found] = other
-                found += 1
-        if found < COVERED_MIN * full:
-            continue
-        sx, sy, sz, nx, ny, nz, ux, uy, uz = _plane(mean, n, others[:found])
-        vx, vy, vz = ny * uz - nz * uy, nz * ux - nx * uz, nx * uy - ny * ux
-        is_covered[:] = False
-        near = 0
-        for k in range(found):
-            x, y, z = mean[others[k], 0] - sx, mean[others[k], 1] - sy, mean[others[k], 2] - sz
-            if abs(x * nx + y * ny + z * nz) <= reach:
-                others[near] = others[k]
-                near += 1
-                # Cells of the disc, seen along the normal: 8 x 8 of them.
-                i = math.floor((x * ux + y * uy + z * uz) / cell) + 4
-                j = math.floor((x * vx + y * vy + z * vz) / cell) + 4
-                if 0 <= i < 8 and 0 <= j < 8:
-                    is_covered[8 * i + j] = True
-        inner[n] = is_covered.sum() >= COVERED_MIN * full and found - near <= ASIDE_MAX * near
-        if inner[n] and near < found:
-            sx, sy, sz, nx, ny, nz, _, _, _ = _plane(mean, n, others[:near])
-        point[n, 0], point[n, 1], point[n, 2] = sx, sy, sz
-        normal[n, 0], normal[n, 1], normal[n, 2] = nx, ny, nz
-    return point, normal, inner
-
-
-@njit(cache=True, nogil=True)
-def _plane(mean, centre, others):  # type: ignore[no-untyped-def]
-    """Plane through some of the points, which lie around the ``centre``: their mean, its normal and the direction in
-    which they extend farthest."""
-    found = len(others)
-    sx = sy = sz = 0.0
-    for k in range(found):
-        sx += mean[others[k], 0] - mean[centre, 0]
-        sy += mean[others[k], 1] - mean[centre, 1]
-        sz += mean[others[k], 2] - mean[centre, 2]
-    sx, sy, sz = mean[centre, 0] + sx / found, mean[centre, 1] + sy / found, mean[centre, 2] + sz / found
-    xx = xy = xz = yy = yz = zz = 0.0
-    for k in range(found):
-        x, y, z = mean[others[k], 0] - sx, mean[others[k], 1] - sy, mean[others[k], 2] - sz
-        xx += x * x
-        xy += x * y
-        xz += x * z
-        yy += y * y
-        yz += y * z
-        zz += z * z
-    small, _, large = eigen(xx / found, xy / found, xz / found, yy / found, yz / found, zz / found)
-    return sx, sy, sz, small[1], small[2], small[3], large[1], large[2], large[3]

@@ -103,7 +103,7 @@ def segment_file(
         f"{cloud.invalid} invalid ones dropped), {apart_m:.3g} m apart",
         f"settings  voxel {voxel:.3g} m, dx {dx:.3g} m: members closer than {2 * dx:.2g} m to each other are one, "
         f"and those shorter than {(2 + LENGTH_MIN_M / TUBE_M) * dx:.2g} m are not found",
-        *_surface_lines(found.surfaces),
+        *_surface_lines(sorted(found.surfaces, key=lambda surface: -surface.area_m2)),
         f"found     {len(bars)} bars, {bars.length.sum():.1f} m in all, the longest "
         f"{bars.length.max(initial=0):.1f} m, in {time.perf_counter() - began:.1f} s",
         f"points    {100 * bar_share:.0f} % on bars, {100 * on_surfaces:.0f} % on surfaces, "
@@ -151,6 +151,8 @@ def _warnings(found: CloudBars, explained: float, points: Array, min_votes: int)
             why = "all points lie on surfaces"
         elif left < VOXELS_FEW * min_votes:
             why = f"voxels of {found.voxel_m:.3g} m leave {left} of {len(points)} points, and a bar needs {min_votes}"
+        elif not np.isnan(found.typical_m):
+            why = f"no line stands free in tubes of {found.tube_m:.2g} m; narrower ones (--dx) tell close members apart"
         return (f"no bar found: {why}",)
     if explained < EXPLAINED_MIN:
         return (

@@ -211,3 +211,25 @@ def test_ground_that_is_sampled_more_sparsely_than_the_steel_is_a_surface(per_m2
     assert len(found.bars) == 1
     assert found.bars.length[0] == pytest.approx(6, abs=0.4)
     assert (found.surface[:n] >= 0).mean() > 0.9
+
+
+@pytest.mark.parametrize(("gap_m", "rise_m"), [(0.15, 0.0), (0.12, 0.1), (0.1, -0.2), (-1.0, -0.25)])
+def test_chords_beside_and_beams_below_a_deck_are_bars(gap_m, rise_m):
+    deck, y = sheet(10.0, 3.0), [-gap_m - 0.05, 3.0 + gap_m + 0.05]
+    chords = np.array([[[0.0, each, rise_m], [10.0, each, rise_m]] for each in y])
+    points = np.concatenate([deck, scanned(chords, 800, 0.1, 0.005)])
+    found = bars_of_cloud(points)
+    assert found.bars.length == pytest.approx([10.0, 10.0], abs=0.2)
+    assert len(found.surfaces) == 1
+
+
+def test_ground_that_is_rougher_and_sparser_than_the_steel_does_not_set_the_tube():
+    rng = np.random.default_rng(6)
+    ground = sheet(16.0, 16.0, per_m2=400) - [8.0, 8.0, 0.0]
+    ground[:, 2] += 0.04 * rng.normal(size=len(ground))
+    points = np.concatenate([ground, scanned(TOWER, 1500, 0.08, 0.01)])
+    found = bars_of_cloud(voxel_grid(points, 0.1))
+    assert found.tube_m < 0.13
+    match = match_members(found.bars, TOWER)
+    assert match.right.mean() >= 0.95
+    assert len(np.unique(match.member[match.right])) >= 0.9 * len(TOWER)
