@@ -183,7 +183,7 @@ class CloudOdometry(BaseOdometry):
 
     def _ray_covariances(self, points: Array) -> Array:
         """Covariances of points, drone frame, as upper triangles ``(N, 6)``. The standard deviation is the range
-        noise along each ray, and half of `SIGMA_M` across it; wide surfaces determine the pose along their normals only."""
+        noise along each ray, and half of `SIGMA_M` across it. Wide surfaces determine the pose along their normals."""
         ray = points - self.T_drone_sensor[:3, 3]
         distance = np.linalg.norm(ray, axis=1)
         ray = ray / np.maximum(distance, 1e-9)[:, None]
