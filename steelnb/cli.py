@@ -210,8 +210,7 @@ def segment(
     with progress() as (on_stage, _):
         from steelnb.recording.segment_cloud import segment_file
 
-        target = output or Path(f"{cloud.stem}_segments")
-        check_folder(target, force)
+        check_folder(target := output or Path(f"{cloud.stem}_segments"), force)
         on_stage(f"finding bars in {cloud.name}")
         result = segment_file(cloud, target, voxel_m=voxel, dx_m=dx, min_votes=min_votes, scene=scene)
     say("\n".join(result.summary))
@@ -223,16 +222,17 @@ def study(
     settings: Annotated[Path, typer.Argument(metavar="STUDY.toml", help="Combinations of settings, one table a grid.")],
     output: Annotated[Path, typer.Option("-o", "--output", metavar="FOLDER", help="Folder of the tables.")],
     jobs: Annotated[int, typer.Option("-j", "--jobs", help="Flights at once. Default: one per core.")] = -1,
+    force: Force = False,
 ) -> int:
     """Simulate every combination of some settings, and write one table with a row per run.
 
     Rows are cached in .cache/runs, so a killed study resumes. Exit code 1: some runs failed.
     """
     from steelnb.notebook.results import RUNS
-    from steelnb.notebook.study import read_grids, run_study, write_runs
+    from steelnb.notebook.study import check_runs, read_grids, run_study, write_runs
 
-    table = run_study(read_grids(settings), jobs)
-    write_runs(output, table)
+    check_runs(output, runs := read_grids(settings), force)
+    write_runs(output, table := run_study(runs, jobs))
     failed = table[table["status"] == "failed"]
     for run in failed.itertuples():
         say(f"{run.method}, {run.trajectory}, seed {run.seed}: {run.error.splitlines()[-1]}", sys.stderr)

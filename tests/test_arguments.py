@@ -307,7 +307,7 @@ def later_changed(scan):
 @pytest.mark.parametrize(
     "give",
     [lambda scan: OdometryStep(scan.stamp_s, np.full((4, 4), NAN)), lambda scan: OdometryStep(1.0, np.eye(4)[:3]),
-     lambda scan: np.eye(4), lambda scan: None, later_changed],
+     lambda scan: np.eye(4), lambda scan: None, later_changed, lambda scan: OdometryStep(0.0, np.eye(4))],
 )  # fmt: skip
 def test_a_bad_step_names_the_class_of_the_odometry_and_the_scan(give):
     with pytest.raises(InputError, match=r"^Own\.update, scan 1: "):

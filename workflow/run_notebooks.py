@@ -27,11 +27,10 @@ from steelnb.core.cache import CACHE_VARIABLE
 from steelnb.core.errors import InputError, SteelnbError
 from steelnb.notebook.parameters import FOLDER
 from steelnb.notebook.progress import PROGRESS_VARIABLE
-from steelnb.notebook.results import file_digest
+from steelnb.notebook.results import REQUIRED, file_digest
 from workflow.experiments import BUDGETS, Part, first_parts, make_parts, read_experiments
 
 EXECUTED, STAMP = "executed.ipynb", "stamp.json"
-REQUIRED = ("metrics.json", "table.csv", "provenance.json")
 LATEST = "latest"
 """Name of the cache of the outputs that tests and pages show (`latest_parts`)."""
 INTERRUPTED = 130

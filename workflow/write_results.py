@@ -13,7 +13,7 @@ import pandas as pd
 
 from steelnb.core.errors import InputError
 from steelnb.core.files import new_folder
-from steelnb.notebook.results import RESULTS, TABLES, find_root, pictures, write_json
+from steelnb.notebook.results import RESULTS, TABLES, WRITTEN, find_root, pictures, write_json
 from workflow.experiments import Part, read_experiments
 from workflow.run_notebooks import part_folder, run
 
@@ -55,6 +55,7 @@ def merge(parts: Sequence[Part], cache: Path, target: Path, budget: str) -> None
             values = json.loads((kept / "metrics.json").read_text(encoding="utf-8"))
             metrics |= {f"{part}.{name}" if part else name: value for name, value in values.items()}
             provenance[kept.name] = json.loads((kept / "provenance.json").read_text(encoding="utf-8"))
+            provenance[kept.name].pop(WRITTEN, None)  # pictures have other names here
             for path in pictures(kept):
                 shutil.copyfile(path, folder / (f"{path.stem}_{part}{path.suffix}" if part else path.name))
         for name in TABLES:

@@ -68,7 +68,9 @@ def cached(make: Callable[[], T], *key: object, folder: str | None = None) -> T:
     memory = _memory(folder)
     if memory is None:
         return make()
-    found: Any = memory.cache(_call, ignore=["make"])(make, key, SOURCES)
+    call: Any = memory.cache(_call, ignore=["make"])
+    call.warn = lambda message: None  # pages of traceback for each entry that cannot be read
+    found = call(make, key, SOURCES)
     return pickle.loads(found.data) if isinstance(found, Sealed) else found  # just made, or loaded
 
 

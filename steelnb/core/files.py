@@ -79,7 +79,7 @@ def new_folder(target: Path | str, stale: Sequence[str] = ()) -> Iterator[Path]:
             yield Path(scratch)
             target.mkdir(parents=True, exist_ok=True)
             for old in [old for pattern in stale for old in target.glob(pattern)]:
-                old.unlink()
+                old.unlink(missing_ok=True)  # it may match twice
             for file in Path(scratch).iterdir():
                 os.replace(file, target / file.name)
     except OSError as fault:

@@ -16,7 +16,7 @@ from steelnb.core.checks import checked_kind
 from steelnb.core.errors import InputError
 from steelnb.core.files import check_writable
 from steelnb.notebook.combinations import check_combinations, check_names, check_once
-from steelnb.notebook.results import EXPERIMENTS_FILE, find_root
+from steelnb.notebook.results import EXPERIMENTS_FILE, earlier_files, find_root
 from steelnb.settings import Settings
 from steelnb.settings.base import Duration, Finite, NotNegative, Positive, SeedOrReport
 from steelnb.settings.presets import read_toml
@@ -47,7 +47,7 @@ def validate() -> None:
 
     Call it first after the parameters: papermill itself only warns of an unknown name and would run the defaults. Does
     nothing without IPython, or in a notebook without a parameter `FOLDER`. Raises `InputError`, and `OutputError` for a
-    folder of results that cannot be written.
+    folder of results that cannot be written or holds files that are not a notebook's.
     """
     cells, names = _cells()
     if cells is None:
@@ -60,6 +60,7 @@ def validate() -> None:
     folder = checked_kind(names[FOLDER], FOLDER, str | Path)
     if str(folder):
         check_writable(folder)
+        earlier_files(folder)
 
 
 def note() -> None:

@@ -1,6 +1,7 @@
 """The files that a notebook writes."""
 
 import contextlib
+import glob
 import hashlib
 import importlib.metadata
 import json
@@ -12,7 +13,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from steelnb.core.determinism import machine
-from steelnb.core.files import new_folder
+from steelnb.core.errors import OutputError
+from steelnb.core.files import new_folder, reading
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -24,8 +26,12 @@ RUNS = "runs.parquet"
 PACKAGES = ("steelnb", "numpy", "scipy", "pandas", "numba", "open3d", "open3d-cpu", "pybullet", "evo", "matplotlib")
 PICTURES = ("fig_*.png", "structure_*.json")
 TABLES = ("table.csv", "bands.csv", "clouds.csv", "curves.csv", "starts.csv", "timing.csv")
+REQUIRED = ("metrics.json", "table.csv", "provenance.json")
+"""The files that every notebook writes."""
 RESULTS = ("metrics.json", "provenance.json", *TABLES, *PICTURES)
-"""Patterns of the files that a notebook writes. A new run removes those of an earlier one."""
+"""Patterns of the files that a notebook writes."""
+WRITTEN = "files"
+"""The list in provenance.json of the files that a notebook wrote."""
 
 
 def write_results(
@@ -45,15 +51,14 @@ def write_results(
     fig_<name>.png, each table in ``further`` <name>.csv (four digits; a name of `TABLES`), ``timing`` timing.csv with a
     description of the machine, and ``provenance`` (settings, seeds; no times, hosts or paths) provenance.json, with
     versions and the hash of the lock. ``files`` maps further names, which start with ``structure_``, to functions
-    that write them. Equal values give equal bytes. Files are written to a temporary folder and then renamed. Raises
-    `OutputError`, and ValueError if a metric is not finite."""
+    that write them. Equal values give equal bytes. Files are written to a temporary folder and then renamed; the
+    `earlier_files` are removed. Raises `OutputError`, and ValueError if a metric is not finite."""
     if not str(results_dir):
         _show_in_a_row(figures)
         return
     flat = {name: _finite(name, value) for name, value in metrics.items()}
-    with new_folder(results_dir, stale=RESULTS) as folder:
+    with new_folder(results_dir, stale=[glob.escape(name) for name in earlier_files(results_dir)]) as folder:
         write_json(folder / "metrics.json", flat)
-        write_json(folder / "provenance.json", {**provenance, **environment()})
         table.to_csv(folder / "table.csv", index=False, float_format="%.9g", lineterminator="\n")
         for name, own in (further or {}).items():
             own.to_csv(folder / f"{name}.csv", index=False, float_format="%.4g", lineterminator="\n")
@@ -65,6 +70,24 @@ def write_results(
             figure.savefig(folder / f"fig_{name.removeprefix('fig_')}.png", dpi=150, metadata={"Software": None})
         for name, write in (files or {}).items():
             write(folder / name)
+        written = sorted(["provenance.json", *(path.name for path in folder.iterdir())])
+        write_json(folder / "provenance.json", {**provenance, **environment(), WRITTEN: written})
+
+
+def earlier_files(results_dir: str | Path) -> list[str]:
+    """The names of the files that a notebook wrote into a folder before, as its provenance.json lists them.
+
+    Raises `OutputError` if every run would replace a file that is not listed, such as a table of the user's or one of
+    `make reproduce`, and `InputError` if provenance.json cannot be read.
+    """
+    folder, written = Path(results_dir), list[str]()
+    if (path := folder / "provenance.json").exists():
+        with reading(path, "the provenance of results"):
+            written = [Path(name).name for name in json.loads(path.read_bytes()).get(WRITTEN, [])]
+    for name in REQUIRED:
+        if (folder / name).exists() and name not in written:
+            raise OutputError(f"{folder / name}: not listed as written by a notebook; expected another folder")
+    return written
 
 
 def _show_in_a_row(figures: Mapping[str, "Figure"]) -> None:

@@ -23,15 +23,14 @@ from steelnb.core.arguments import checks_arguments
 from steelnb.core.cache import PACKAGE, cached, digest_rooms
 from steelnb.core.checks import checked_kind
 from steelnb.core.determinism import machine
-from steelnb.core.errors import InputError
-from steelnb.core.files import new_folder, reading
+from steelnb.core.errors import InputError, OutputError
+from steelnb.core.files import OVERWRITE, check_writable, new_folder, reading
 from steelnb.metrics import diagnose, position_error_m
 from steelnb.notebook.results import RUNS
 from steelnb.notebook.runs import Flights, run_all
-from steelnb.notebook.tables import case_of, stage_times
+from steelnb.notebook.tables import case_of, stage_times, tower_name
 from steelnb.settings import ExperimentSettings, Settings, TrajectoryName, read_tables
 from steelnb.settings.base import Duration, SeedOrReport
-from steelnb.settings.presets import members_file
 from steelnb.simulation.calibration import measure_calibration
 
 RUN_COLUMNS = ("sensor", "duration_s", "trajectory", "seed", "noise", "variant", "method")
@@ -158,15 +157,9 @@ def run_study(
     wanted = _distinct(
         each if isinstance(each, Run) else Run(checked_kind(each, "runs", ExperimentSettings, "grid")) for each in runs
     )
-    path = str(Path(folder).absolute())
+    settings, task = [run.settings for run in wanted], partial(_cached_row, str(Path(folder).absolute()))
     with tqdm(total=100, desc="runs", unit=" %", disable=None) as bar:
-        found = run_all(
-            [run.settings for run in wanted],
-            lambda share: bar.update(round(100 * share) - bar.n),
-            partial(_cached_row, path),
-            jobs,
-            timed=True,
-        )
+        found = run_all(settings, lambda share: bar.update(round(100 * share) - bar.n), task, jobs, timed=True)
     cases = [{**run.case, "tower": tower_name(run.settings), "key": run.key} for run in wanted]
     table = pd.DataFrame([{**case, **row} for case, row in zip(cases, found, strict=True)])
     if table["seed"].dtype == object:  # "report" is among the seeds
@@ -213,14 +206,6 @@ def thinned_curves(result: experiment.Result) -> dict[str, np.ndarray]:
     }
 
 
-def tower_name(settings: ExperimentSettings) -> str:
-    """The list of members with the start of its SHA-256, such as ``report-tower 1a2b3c4d``, so that runs on an
-    older list are told apart. Empty for a tower that is built from its dimensions."""
-    if not (members := settings.tower.members):
-        return ""
-    return f"{Path(members).stem} {hashlib.sha256(members_file(members).read_bytes()).hexdigest()[:8]}"
-
-
 @checks_arguments
 def study_curves(table: pd.DataFrame) -> pd.DataFrame:
     """The thinned curves of some runs in long form, one row per sample: the columns `RUN_COLUMNS`, ``time_s``, the
@@ -228,6 +213,19 @@ def study_curves(table: pd.DataFrame) -> pd.DataFrame:
     long = table[[*RUN_COLUMNS, *CURVES]].dropna(subset=list(CURVES)).explode(list(CURVES), ignore_index=True)
     named = {name: name.removeprefix("curve_") for name in CURVES}
     return long.astype(dict.fromkeys(CURVES, float)).rename(columns=named)
+
+
+def check_runs(folder: Path | str, runs: Iterable[Run], overwrite: bool = False) -> None:
+    """Raise `OutputError` if a folder cannot be written to or, unless ``overwrite``, if its table has runs of another
+    study, which none of the ``runs`` would replace. Runs are told apart by `RUN_COLUMNS`."""
+    check_writable(folder)
+    if overwrite or not Path(folder, RUNS).exists():
+        return
+    tables = read_runs(folder), pd.DataFrame([run.case for run in runs])
+    old, new = ({*table[[*RUN_COLUMNS]].astype(str).itertuples(index=False, name=None)} for table in tables)
+    if lost := old - new:
+        words = f"{len(lost)} of its {len(old)} runs are not in this study; expected another folder"
+        raise OutputError(f"{folder}: {words}, or {OVERWRITE}")
 
 
 def write_runs(folder: Path | str, table: pd.DataFrame) -> None:

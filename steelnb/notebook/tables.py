@@ -1,6 +1,8 @@
 """Tables of runs: the columns that name a case, and one row per run."""
 
+import hashlib
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -8,6 +10,7 @@ import pandas as pd
 
 from steelnb import experiment
 from steelnb.settings import ExperimentSettings, LoamSettings, RegistrationSettings, ReportCloudSettings
+from steelnb.settings.presets import members_file
 
 CASE_COLUMNS = ("trajectory", "noise", "method", "sensor", "seed")
 """The columns of `case_of`."""
@@ -44,6 +47,14 @@ def case_of(settings: ExperimentSettings) -> dict[str, Any]:
         "sensor": settings.sensor,
         "seed": settings.seed,
     }
+
+
+def tower_name(settings: ExperimentSettings) -> str:
+    """The list of members with the start of its SHA-256, such as ``report-tower 1a2b3c4d``, so that runs on an
+    older list are told apart. Empty for a tower that is built from its dimensions."""
+    if not (members := settings.tower.members):
+        return ""
+    return f"{Path(members).stem} {hashlib.sha256(members_file(members).read_bytes()).hexdigest()[:8]}"
 
 
 def map_kind(settings: ExperimentSettings) -> str:

@@ -29,7 +29,7 @@ def run(flight: Flight, odometry: Odometry, on_step: OnStep | None = None, befor
     before : another flight, which the odometry corrects first; its steps are dropped, and what it has learnt stays.
 
     Raises `InputError` if other scans are read than the flight has poses for, by number or by stamp, and if an update
-    returns no `OdometryStep` or one that is not valid; the message names the class and the scan.
+    returns no `OdometryStep`, one of another stamp or one that is not valid; the message names the class and the scan.
     """
     if isinstance(odometry, type) or not callable(getattr(odometry, "update", None)):
         raise InputError(f"odometry = {shown(odometry)}: expected an object with a method update, as of make_odometry")
@@ -49,6 +49,7 @@ def run(flight: Flight, odometry: Odometry, on_step: OnStep | None = None, befor
             update_s[k] = time.perf_counter() - begin
             # Checked again, as the odometry may have changed the array since.
             T_world_drone[k] = checked_pose(checked_kind(step, "its result", OdometryStep).T_world_drone, "its pose")
+            _check_stamp(step.stamp_s, "its result", scan.stamp_s, "its scan")
         steps.append(step)
         reason.append("" if step.used else scan.fault or step.reason or "not used")
         if on_step:

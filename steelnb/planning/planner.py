@@ -3,7 +3,8 @@
 It knows the map so far, an estimate of the pose, and the camera's field of view and range, but never the true state.
 With the goal ``around``, it circles the structure and climbs, facing its middle. With the goal ``face``, it flies to
 and fro in front of a face with a fixed heading and climbs one level at each edge. Speed towards obstacles is limited.
-When it loses sight of the structure, it stops, turns towards the map, and then flies back along its path.
+When it loses sight of the structure, or no point of the map is in the camera's range, it stops, turns towards the map,
+and then flies back along its path.
 """
 
 from dataclasses import dataclass
@@ -98,11 +99,11 @@ class Planner:
             if self._searched_rad > 2 * np.pi:
                 return Decision(np.zeros(3), 0.0, "end")
             return Decision(np.zeros(3), SEARCH_RAD_S, "search")
-        if len(self._last_scan) >= SIGHT_MIN:
+        points = self.map.means(self.map.near(position, self.range_max_m))
+        if len(self._last_scan) >= SIGHT_MIN and len(points):
             self._lost_s = None
         elif self._lost_s is None:
             self._lost_s = stamp_s
-        points = self.map.means(self.map.near(position, self.range_max_m))
         if self._lost_s is not None:
             desired, yaw_rate, state = self._recover(stamp_s - self._lost_s, position, yaw, points)
         else:

@@ -109,7 +109,7 @@ def test_a_list_of_members_is_hashed_by_its_content(folder, made, tmp_path):
     assert made == ["fly", "fly"]
 
 
-def test_changed_sources_and_unreadable_entries_are_computed_again(folder, made, monkeypatch):
+def test_changed_sources_and_unreadable_entries_are_computed_again(folder, made, monkeypatch, caplog):
     first, _ = experiment.simulate(SETTINGS)
     (file,) = folder.rglob("output.pkl")
     whole = file.read_bytes()
@@ -118,6 +118,7 @@ def test_changed_sources_and_unreadable_entries_are_computed_again(folder, made,
         file.write_bytes(damaged)
         assert_same(first, experiment.simulate(SETTINGS)[0])
     assert made == ["fly"] * 5
+    assert not caplog.records, "joblib would log a traceback for each"
     monkeypatch.setattr(cache, "SOURCES", "other code")
     experiment.simulate(SETTINGS)
     assert made == ["fly"] * 6

@@ -25,7 +25,7 @@ def test_files_appear_together_and_others_stay_unless_stale(tmp_path: Path) -> N
         assert not target.exists()
     assert target.stat().st_mode & 0o777 == 0o777 & ~umask()
     (target / "notes").write_text("mine")
-    with new_folder(target, stale=("fig_*",)) as folder:
+    with new_folder(target, stale=("fig_*", "fig_a")) as folder:
         (folder / "a").write_text("2")
         (folder / "fig_b").write_text("2")
         assert files_below(target) | {"a": "", "fig_a": "", "notes": ""} != files_below(target)

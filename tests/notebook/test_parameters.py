@@ -188,10 +188,18 @@ def test_a_folder_of_results_that_cannot_be_written_is_refused_before_anything_r
     shell: InteractiveShell, tmp_path: Path
 ) -> None:
     (tmp_path / "file").touch()
-    for folder, says in ((tmp_path / "file" / "out", "file/out: cannot be written"), (3, "results_dir = 3: expected")):
+    mine, committed = tmp_path / "table.csv", Path(__file__).parents[2] / "results" / "explore"
+    mine.touch()
+    for folder, says in (
+        (tmp_path / "file" / "out", "file/out: cannot be written"),
+        (3, "results_dir = 3: expected"),
+        (tmp_path, "table.csv: not listed as written by a notebook"),
+        (committed, "explore/metrics.json: not listed as written by a notebook"),
+    ):
         run(shell, f"# Parameters\nresults_dir = {folder if folder == 3 else str(folder)!r}\n")
         with pytest.raises(SteelnbError, match=says):
             parameters.validate()
+    mine.unlink()
     run(shell, f"# Parameters\nresults_dir = {str(tmp_path / 'new')!r}\n")
     parameters.validate()
     assert [each.name for each in tmp_path.iterdir()] == ["file"]

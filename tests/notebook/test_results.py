@@ -1,5 +1,6 @@
 """The files that a notebook writes, and its progress."""
 
+import json
 import time
 from pathlib import Path
 
@@ -8,7 +9,7 @@ import pandas as pd
 import pytest
 from matplotlib.figure import Figure
 
-from steelnb.core.errors import OutputError
+from steelnb.core.errors import OutputError, SteelnbError
 from steelnb.notebook.progress import Progress
 from steelnb.notebook.results import find_root, write_results
 
@@ -45,11 +46,37 @@ def test_write_results_writes_all_or_nothing(tmp_path: Path, monkeypatch: pytest
     assert {path.name: path.read_bytes() for path in out.iterdir()} == before
     write("out", {"x": 1}, ("3",))
     assert sorted(path.name for path in out.iterdir()) == sorted(["fig_3.png", "notes.txt", *common])
+    assert json.loads((out / "provenance.json").read_text())["files"] == sorted(["fig_3.png", *common])
     (tmp_path / "file").touch()
     for folder in ("file", "file/below"):
         with pytest.raises(OutputError, match="file"):
             write(folder, {"x": 1})
     assert sorted(path.name for path in tmp_path.iterdir()) == ["file", "out"]
+
+
+def test_files_that_no_notebook_wrote_stay(tmp_path: Path) -> None:
+    own = {"fig_mine.png": "my figure", "fig_1.png": "of another name than fig_[1].png", "curves.csv": "1,2"}
+    for name, text in own.items():
+        (tmp_path / name).write_text(text)
+    for figures in (("[1]", "2"), ("3",)):
+        write(tmp_path, {"x": 1}, figures)
+        assert {name: (tmp_path / name).read_text() for name in own} == own
+    assert sorted(path.name for path in tmp_path.glob("fig*")) == ["fig_1.png", "fig_3.png", "fig_mine.png"]
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "words"),
+    [
+        ("table.csv", "x\n7\n", r"table\.csv: not listed as written by a notebook; expected another folder"),
+        ("provenance.json", '{"parts": {}}', r"provenance\.json: not listed as written by a notebook"),
+        ("provenance.json", "[]", r"provenance\.json: not the provenance of results: "),
+    ],
+)
+def test_a_folder_whose_table_is_not_a_notebook_s_is_refused(tmp_path: Path, name: str, text: str, words: str) -> None:
+    (tmp_path / name).write_text(text)
+    with pytest.raises(SteelnbError, match=words):
+        write(tmp_path, {"x": 1})
+    assert {path.name: path.read_text() for path in tmp_path.iterdir()} == {name: text}
 
 
 def test_progress_writes_the_fraction_of_the_whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

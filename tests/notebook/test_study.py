@@ -32,9 +32,9 @@ from steelnb.notebook.study import (
     run_study,
     study_curves,
     thinned_curves,
-    tower_name,
     write_runs,
 )
+from steelnb.notebook.tables import tower_name
 from steelnb.settings import ExperimentSettings
 from steelnb.settings.presets import members_file
 
@@ -166,6 +166,28 @@ def test_tables_survive_writing_and_reading(plain, tmp_path):
             read_runs(folder)
 
 
+def test_runs_of_another_study_are_not_replaced_and_bad_folders_are_refused_first(
+    plain, tmp_path, made, monkeypatch, capsys
+):
+    monkeypatch.chdir(tmp_path)
+    write_runs("out", plain)
+    before = Path("out", study.RUNS).read_bytes()
+    Path("file").write_text("x")
+    path = str(written(tmp_path, {**AXES, "seeds": [2], "methods": ["icp"]}))
+    for folder, words in (
+        ("out", "out: 3 of its 4 runs are not in this study; expected another folder, or --force"),
+        ("file", "file: cannot be written: Not a directory"),
+    ):
+        assert cli.main(["study", path, "-o", folder]) == 2
+        assert words in capsys.readouterr().err
+    assert not made
+    assert Path("out", study.RUNS).read_bytes() == before
+    study.check_runs("out", grid(**{**AXES, "seeds": "1-3"}))  # continued or extended
+    study.check_runs("new", grid(**AXES))
+    assert cli.main(["study", path, "-o", "out", "-j", "1", "--force"]) == 0
+    assert len(read_runs("out")) == len(made) == 1
+
+
 def test_the_committed_table_has_the_columns_and_runs_of_the_study(plain):
     committed = read_runs(ROOT / "results" / "study")
     gaps = {"ate_outside_gaps_rmse_m", "error_after_gaps_max_m"}  # of runs with blind intervals
@@ -174,9 +196,11 @@ def test_the_committed_table_has_the_columns_and_runs_of_the_study(plain):
     assert (
         committed[list(RUN_COLUMNS)].dtypes.astype(str).tolist() == texts[list(RUN_COLUMNS)].dtypes.astype(str).tolist()
     )
-    cases = [run.case for run in read_grids(ROOT / "notebooks" / "study.toml")]
-    study = {tuple({**case, "seed": str(case["seed"])}.values()) for case in cases}
-    assert {*committed[list(RUN_COLUMNS)].itertuples(index=False, name=None)} <= study
+    of_now = read_grids(ROOT / "notebooks" / "study.toml")
+    study.check_runs(ROOT / "results" / "study", of_now)  # what `make study` does first
+    cases = [run.case for run in of_now]
+    known = {tuple({**case, "seed": str(case["seed"])}.values()) for case in cases}
+    assert {*committed[list(RUN_COLUMNS)].itertuples(index=False, name=None)} <= known
     assert not set(range(11, 21)) & {case["seed"] for case in cases}, "seeds of the development"
 
 

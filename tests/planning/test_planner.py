@@ -135,6 +135,20 @@ def test_new_obstacles_of_a_scan_count_at_once():
     assert decision.velocity @ obstacle[0] < 0
 
 
+@pytest.mark.parametrize("goal", ["around", "face"])
+def test_a_map_out_of_reach_is_lost_sight(goal):
+    wall = np.stack(np.broadcast_arrays(1.5, *np.mgrid[-1:1:0.1, -1:1:0.1]), axis=-1).reshape(-1, 3)
+    T = pose(0, 0, 2, 0)
+    for reach_m, at in ((0.5, T), (RANGE_M, pose(1000, 0, 2, 0))):
+        planner = Planner(AROUND.replace(goal=goal), 1.2, reach_m)
+        planner.see(wall, T, Segments.empty())
+        decisions = [planner.decide(stamp_s, at) for stamp_s in (0.1, 0.2 + SEARCH_STOP_S)]
+        assert [each.state for each in decisions] == ["stop", "return"]
+        assert decisions[1].velocity[0] <= 0
+        planner.see(wall, at, Segments.empty())
+        assert planner.decide(2.0, at).state == ("return" if reach_m < 1 else "follow")
+
+
 def test_it_waits_for_a_scan_and_turns_until_it_sees_a_structure():
     assert planner_of(AROUND).decide(0.0, pose(0, 0, 1, 0)).state == "wait"
     _, decisions = fly(planner_of(AROUND), tower(half_m=1.0), pose(0, -2.4, 0.7, -np.pi / 2), 15.0)
