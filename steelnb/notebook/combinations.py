@@ -190,10 +190,9 @@ def _check_file(name: str, inside: str = "") -> Callable[[Values], None]:
 
 
 def _check_recording(values: Values) -> None:
-    from steelnb.recording.settings import recording_settings
-
-    chosen, _ = recording_settings(values["method"], values["sensor"], range_max_m=values["range_max_m"])
-    if isinstance(chosen.odometry, OrbSettings):
+    odometry = ExperimentSettings.preset(method=values["method"], sensor=values["sensor"]).odometry
+    odometry.preprocess.check_range(values["range_max_m"])
+    if isinstance(odometry, OrbSettings):
         raise InputError(
             f"method = {values['method']!r}: expected one that needs no images, since recordings have none"
         )

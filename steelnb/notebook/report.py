@@ -106,7 +106,8 @@ def curves(results: Sequence[experiment.Result]) -> pd.DataFrame:
 
 
 def error_floor_m(curves: pd.DataFrame) -> float:
-    """Where a logarithmic axis of `curves` begins: at `FLOOR_M`, or lower if all of a curve would lie below."""
+    """Where a logarithmic axis of `curves` begins: at `FLOOR_M`, or at a tenth of the lowest curve's largest error
+    if that is lower."""
     above_0 = curves[curves["error_m"] > 0]
     largest = above_0.groupby([*CASE_COLUMNS, "curve"])["error_m"].max()
-    return min(FLOOR_M, 0.5 * float(largest.min()))  # FLOOR_M for NaN
+    return min(FLOOR_M, 0.1 * float(largest.min()))  # FLOOR_M for NaN

@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from steelnb.core.checks import shown
 from steelnb.core.errors import InputError
 from steelnb.core.types import Array, Flight
 from steelnb.points import voxel_grid
@@ -119,8 +118,7 @@ def recording_settings(
                 f" odometry, {', '.join(CALIBRATION)}, or --range-max for the range"
             )
     seen, before = settings.odometry.preprocess, preset.odometry.preprocess
-    if range_max_m is not None and not range_max_m > seen.voxel_leaf_m:
-        raise InputError(f"range_max_m = {shown(range_max_m)}: expected more than a voxel of {seen.voxel_leaf_m:g} m")
+    seen.check_range(range_max_m)
     also = {"range_max_m": seen.crop_m} if seen.crop_m != before.crop_m else {}
     also |= {"floor_m": seen.floor_m} if seen.floor_m != before.floor_m else {}
     # Uncorrected poses are not adjusted, and smoothed ones already are.
