@@ -4,19 +4,31 @@ Every check is bound to the name of a parameter and sees the values of all. Libr
 imported by the checks that need them, so that a refusal takes no longer than the start of a kernel.
 """
 
+import inspect
 import itertools
-from collections.abc import Callable, Collection, Iterable, Mapping
+import math
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 from steelnb.core.checks import guess, quoted
 from steelnb.core.errors import InputError
-from steelnb.notebook.cases import report_cases, with_earlier_runs
+from steelnb.notebook.cases import (
+    PLANNER_FLIGHTS,
+    basin_cases,
+    planner_cases,
+    report_cases,
+    slip_cases,
+    with_earlier_runs,
+    world_cases,
+)
 from steelnb.notebook.results import RUNS, find_root
-from steelnb.settings import METHODS, TOWERS, ExperimentSettings
-from steelnb.settings.noise import at_level
+from steelnb.settings import METHODS, TOWERS, ExperimentSettings, OrbSettings
+from steelnb.settings.experiment import ARGUMENTS, check_given_once
+from steelnb.settings.noise import Noise, at_level
 
 PRESET_ARGUMENTS = "trajectory", "noise", "method", "sensor", "seed", "duration_s", "overrides", "tower"
+DRIFT_MIN_S = 60.0
 SIDE_MAX = 100
 """Largest number of steps from the middle of a basin to its edge: 40,000 starts, of half a millisecond."""
 Values = Mapping[str, Any]
@@ -34,21 +46,43 @@ def check_combinations(values: Values) -> None:
     for name in values:
         if name in CHECKS:
             CHECKS[name](values)
-    _check_presets(values)
+    for given in _combinations(values):  # titles and names of files say the parameters
+        check_given_once(given.get("overrides", {}), {name: given[name] for name in ARGUMENTS if name in given})
+    _experiments(values)
 
 
 def _all(value: Any) -> list[Any]:
     return value if isinstance(value, list) else [value]
 
 
-def _check_presets(values: Values) -> None:
-    """Every combination of the values in lists is an experiment."""
-    names = [name for name in PRESET_ARGUMENTS if name in values]
-    for combination in itertools.product(*(_all(values[name]) for name in names)) if names else ():
-        given = dict(zip(names, combination, strict=True))
+def _combinations(values: Values) -> Iterator[dict[str, Any]]:
+    """The arguments of `ExperimentSettings.preset` for every combination of the values in lists."""
+    named = {name: _all(values[name]) for name in PRESET_ARGUMENTS if name in values}
+    if isinstance(values.get("seeds"), list):
+        named["seed"] = values["seeds"]
+    for combination in itertools.product(*named.values()) if named else ():
+        given = dict(zip(named, combination, strict=True))
         if "level" in values:
             given["noise"] = at_level(given["noise"], values["level"])
-        ExperimentSettings.preset(**given)
+        yield given
+
+
+def _called(cases: Callable[..., Any], values: Values) -> Any:
+    """What a function returns for the parameters that it has arguments for."""
+    return cases(**{name: values[name] for name in inspect.signature(cases).parameters if name in values})
+
+
+def _experiments(values: Values) -> None:
+    """Make the settings of all experiments of the notebook that has these parameters."""
+    own = next((OWN_CASES[name] for name in OWN_CASES if name in values), ())
+    for cases in own:
+        _called(cases, values)
+    if methods := _flown(values):
+        flown = {**values, "trajectory": _all(values["trajectory"]), "methods": methods}
+        with_earlier_runs(_called(report_cases, flown))
+    elif not own:
+        for each in _combinations(values):
+            ExperimentSettings.preset(**each)
 
 
 def _check_level(values: Values) -> None:
@@ -57,27 +91,21 @@ def _check_level(values: Values) -> None:
 
 
 def _flown(values: Values) -> dict[str, list[str]]:
-    """The methods that fly on the samples of each of the report's plots."""
-    return values["methods"] if "methods" in values else {"average": values["correction"]}
-
-
-def _check_plots(values: Values) -> None:
-    given = {"sensor", "seed", "duration_s", "overrides", "tower"} & values.keys()
-    methods, trajectory = _flown(values), _all(values["trajectory"])
-    with_earlier_runs(report_cases(trajectory, values["noise"], methods, **{name: values[name] for name in given}))
-    for shown, names in methods.items():
-        check_once(f"methods, {shown}", names)
+    """The methods that fly on the samples of each of the report's plots; empty if none do."""
+    if "correction" in values:
+        return {"average": ["none", *values["correction"]]}
+    methods = values.get("methods")
+    return methods if isinstance(methods, dict) else {}
 
 
 def _check_correction(values: Values) -> None:
     check_names("correction", values["correction"], [name for name in METHODS if name != "none"])
-    _check_plots(values)
 
 
 def _check_methods(values: Values) -> None:
     methods = values["methods"]
     if isinstance(methods, dict):
-        _check_plots(values)
+        check_once("methods", [name for names in methods.values() for name in names])
     elif "slow" in values:
         _check_finders(values)
     else:
@@ -126,6 +154,28 @@ def _check_step(values: Values) -> None:
 
 def _check_cloud_seeds(values: Values) -> None:
     check_names("cloud_seeds", values["cloud_seeds"], TOWERS)
+    clouds = {f"cloud_seeds.{tower}": seeds for tower, seeds in values["cloud_seeds"].items()}
+    for name, seeds in {"seeds": values["seeds"], **clouds}.items():
+        if "report" in seeds:
+            raise InputError(f"{name} = {seeds}: expected numbers, since the report's seed has no single frames")
+
+
+def _check_poor_starts(values: Values) -> None:
+    from steelnb.notebook.basin import MAP_EVERY
+
+    case = next(iter(_called(basin_cases, values).values()))
+    scans = (case.flight.duration_s - case.tof.start_s) * case.tof.rate_hz
+    most = len(range(MAP_EVERY // 2, math.ceil(scans), MAP_EVERY))
+    if values["poor_starts"] > most:
+        flown = f"poor_starts = {values['poor_starts']} with duration_s = {values['duration_s']:g}"
+        raise InputError(f"{flown}: expected at most {most}, as many as scans that are not in the map")
+
+
+def _check_drift(values: Values) -> None:
+    if values["drift_s"] < DRIFT_MIN_S:
+        raise InputError(f"drift_s = {values['drift_s']:g}: expected at least {DRIFT_MIN_S:g}, the step of the table")
+    for name in values["noise"]:
+        Noise.parse(name)
 
 
 def _check_file(name: str, inside: str = "") -> Callable[[Values], None]:
@@ -140,6 +190,12 @@ def _check_file(name: str, inside: str = "") -> Callable[[Values], None]:
 
 
 def _check_recording(values: Values) -> None:
+    odometry = ExperimentSettings.preset(method=values["method"], sensor=values["sensor"]).odometry
+    odometry.preprocess.check_range(values["range_max_m"])
+    if isinstance(odometry, OrbSettings):
+        raise InputError(
+            f"method = {values['method']!r}: expected one that needs no images, since recordings have none"
+        )
     if values["recording"] and not Path(values["recording"]).exists():
         raise InputError(f"recording = {values['recording']!r}: no such file or folder below {Path.cwd()}")
 
@@ -159,10 +215,18 @@ CHECKS: Mapping[str, Callable[[Values], None]] = {
     "mapped": _check_shown("mapped"),
     "blind_s": _check_blind,
     "step_m": _check_step,
+    "poor_starts": _check_poor_starts,
+    "drift_s": _check_drift,
+    "flights": lambda values: check_names("flights", values["flights"], PLANNER_FLIGHTS),
     "cloud_seeds": _check_cloud_seeds,
     "study_folder": _check_file("study_folder", RUNS),
     "frames_folder": _check_file("frames_folder", "table.csv"),
+    "starts_folder": _check_file("starts_folder", "starts.csv"),
     "claims_file": _check_file("claims_file"),
     "recording": _check_recording,
 }
 """Parameter → its check."""
+OWN_CASES: Mapping[str, tuple[Callable[..., Any], ...]] = {
+    "drift_s": (world_cases,), "correspondence_m": (basin_cases, slip_cases), "flights": (planner_cases,),
+}  # fmt: skip
+"""A parameter of one notebook → what makes its experiments."""

@@ -8,15 +8,19 @@ import numpy as np
 import pandas as pd
 
 from steelnb import experiment
+from steelnb.core.errors import InputError
 from steelnb.core.types import Array
 from steelnb.metrics import position_error_m
 from steelnb.notebook.cases import plot_of
 from steelnb.notebook.results import find_root
-from steelnb.notebook.tables import case_of, cloud_table
+from steelnb.notebook.tables import CASE_COLUMNS, case_of, cloud_table
+from steelnb.settings import Noise
 from steelnb.settings.report_plots import STEP_S, ReportPlot, read_report_plots
+from steelnb.simulation.noise import drift_size
 
 REPORT_FIGURE = {"vertical": "3_2", "orbit": "3_3", "random-walk": "3_5", "constant-drift": "3_6"}
 """The report's figure, as in file names: by flight for segment odometry, by noise for point-cloud odometry."""
+FLOOR_M = 0.005
 REPORT_CURVES = Path("notebooks", "report-curves.csv")
 """The curves of the report's plots, read off its PDF. The path is relative to the root of the project."""
 
@@ -34,6 +38,15 @@ def report_curve(plot: ReportPlot, curve: str = "corrected", until_s: float = np
     rows = rows[(rows[list(named)] == pd.Series(named)).all(axis=1)]
     time_s, error_m = plot.time_at(rows["step"].to_numpy()), rows["error_m"].to_numpy()
     return time_s[time_s <= until_s], error_m[time_s <= until_s]  # false for NaN
+
+
+def seed_drift(stamp_s: Array, noise: Noise) -> Array:
+    """`drift_size` ``(N,)`` with the seed ``report``; NaN for a noise that it has no draws for."""
+    try:
+        noise.check_report()
+    except InputError:
+        return np.full(len(stamp_s), np.nan)
+    return drift_size(stamp_s, noise, "report")
 
 
 def sample_runs() -> pd.DataFrame:
@@ -90,3 +103,11 @@ def curves(results: Sequence[experiment.Result]) -> pd.DataFrame:
             samples = {"curve": name, "time_s": time_s, "error_m": error_m}
             parts.append(pd.DataFrame({**case_of(result.settings), **samples}))
     return pd.concat(parts, ignore_index=True)
+
+
+def error_floor_m(curves: pd.DataFrame) -> float:
+    """Where a logarithmic axis of `curves` begins: at `FLOOR_M`, or at a tenth of the lowest curve's largest error
+    if that is lower."""
+    above_0 = curves[curves["error_m"] > 0]
+    largest = above_0.groupby([*CASE_COLUMNS, "curve"])["error_m"].max()
+    return min(FLOOR_M, 0.1 * float(largest.min()))  # FLOOR_M for NaN

@@ -47,16 +47,17 @@ def write_results(
 ) -> None:
     """Write the results of a notebook into the folder ``results_dir``. If that is empty, only show the figures.
 
-    ``table`` becomes table.csv (nine digits), ``metrics`` metrics.json (finite numbers, units in the keys), each figure
-    fig_<name>.png, each table in ``further`` <name>.csv (four digits; a name of `TABLES`), ``timing`` timing.csv with a
-    description of the machine, and ``provenance`` (settings, seeds; no times, hosts or paths) provenance.json, with
-    versions and the hash of the lock. ``files`` maps further names, which start with ``structure_``, to functions
-    that write them. Equal values give equal bytes. Files are written to a temporary folder and then renamed; the
-    `earlier_files` are removed. Raises `OutputError`, and ValueError if a metric is not finite."""
+    ``table`` becomes table.csv (nine digits), ``metrics`` metrics.json (units in the keys, without numbers that are not
+    finite, such as a mean of nothing), each figure fig_<name>.png, each table in ``further`` <name>.csv (four digits; a
+    name of `TABLES`), ``timing`` timing.csv with a description of the machine, and ``provenance`` (settings, seeds; no
+    times, hosts or paths) provenance.json, with versions and the hash of the lock. ``files`` maps further names, which
+    start with ``structure_``, to functions that write them. Equal values give equal bytes. Files are written to a
+    temporary folder and then renamed; the `earlier_files` are removed. Raises `OutputError`, and ValueError if a metric
+    is no number."""
     if not str(results_dir):
         _show_in_a_row(figures)
         return
-    flat = {name: _finite(name, value) for name, value in metrics.items()}
+    flat = {name: number for name, value in metrics.items() if math.isfinite(number := _number(name, value))}
     with new_folder(results_dir, stale=[glob.escape(name) for name in earlier_files(results_dir)]) as folder:
         write_json(folder / "metrics.json", flat)
         table.to_csv(folder / "table.csv", index=False, float_format="%.9g", lineterminator="\n")
@@ -101,10 +102,10 @@ def _show_in_a_row(figures: Mapping[str, "Figure"]) -> None:
     display(HTML(f'<div style="display: flex; gap: 1em">{shown}</div>'))
 
 
-def _finite(name: str, value: Any) -> int | float:
-    """A metric as a Python number. Raises ValueError if it is not a finite number."""
-    if not isinstance(value, numbers.Real) or isinstance(value, bool) or not math.isfinite(value):
-        raise ValueError(f"metrics: {name} = {value!r}: expected a finite number")
+def _number(name: str, value: Any) -> int | float:
+    """A metric as a Python number. Raises ValueError if it is none."""
+    if not isinstance(value, numbers.Real) or isinstance(value, bool):
+        raise ValueError(f"metrics: {name} = {value!r}: expected a number")
     return int(value) if isinstance(value, numbers.Integral) else float(value)
 
 

@@ -21,7 +21,7 @@ from steelnb.metrics.segments import match_members
 from steelnb.metrics.structure import Reference, StructureScore, reference, score_structure, toward_sensor_m
 from steelnb.notebook.tables import case_of
 from steelnb.odometry import SegmentOdometry
-from steelnb.settings import ExperimentSettings, OdometrySettings, StructureSettings, TowerSettings, TrajectoryName
+from steelnb.settings import ExperimentSettings, OdometrySettings, StructureSettings, TrajectoryName
 
 POSES = ("raw", "corrected", "true")
 RECONSTRUCTIONS = ("final", "incremental")
@@ -76,8 +76,7 @@ def fly_tower(
     on_progress: Callable[[float], None] | None = None,
 ) -> TowerFlight:
     """Simulate a drifting flight over a tower of `TowerSettings.preset` and correct it. Raises `InputError`."""
-    settings = ExperimentSettings.preset(trajectory, noise, method, sensor, seed, duration_s)
-    settings = settings.replace(tower=TowerSettings.preset(tower)).override(overrides or {})
+    settings = ExperimentSettings.preset(trajectory, noise, method, sensor, seed, duration_s, overrides, tower)
     flight, truth = experiment.simulate(settings)
     result = experiment.estimate(settings, flight, truth, on_progress)
     at_scans = (result.prior, result.corrected, truth.trajectory.at(flight.prior.stamp_s))

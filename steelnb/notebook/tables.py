@@ -118,9 +118,9 @@ def column_head(name: str) -> str:
 
 
 def readable(rows: pd.DataFrame, columns: Sequence[str] | None = None, digits: int = 3) -> pd.DataFrame:
-    """Some ``columns`` of a table for display: rounded, counts as integers, words as heads (`column_head`). The table
-    itself, which files are written from, stays as it is."""
-    shown = rows if columns is None else rows[list(columns)]
+    """Some ``columns`` of a table for display, without those that no run has: rounded, counts as integers, words as
+    heads (`column_head`). The table itself, which files are written from, stays as it is."""
+    shown = rows if columns is None else rows[[name for name in columns if name in rows]]
     whole = [name for name in shown.select_dtypes("number") if (shown[name].dropna() % 1 == 0).all()]
     counts = {name: "Int64" for name in whole if (shown[name].abs() > 1).any()}  # a share may be 1 everywhere
     shown = shown.astype(counts).round(digits)

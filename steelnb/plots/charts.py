@@ -1,6 +1,6 @@
 """Charts of the runs of a study, by seaborn: errors over seeds as dots, and estimates with their intervals."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import matplotlib.figure
@@ -16,15 +16,29 @@ WIDE = 100.0
 """Ratio of values above which `forest` uses a logarithmic scale."""
 
 
+def some(runs: pd.DataFrame, methods: Iterable[str]) -> pd.DataFrame:
+    """The same runs, which were chosen from a study. Raises `InputError` if there are none."""
+    if runs.empty:
+        raise InputError(f"no run of {', '.join(methods)} is left to draw: expected other methods, noises or studies")
+    return runs
+
+
 def error_dots(runs: pd.DataFrame, case: str, methods: Sequence[str], **facets: Any) -> sns.FacetGrid:
     """Plot the absolute trajectory error of each run as a dot, with one row per value of the categorical column
     ``case`` and one colour per method. A black bar is the mean; the range of errors without correction is behind.
 
     ``runs`` has the columns ``ate_rmse_m`` and ``raw_ate_rmse_m`` (m) and ``method``. ``facets`` are options of
-    `seaborn.catplot`, such as ``col``. Raises `InputError` without a run.
+    `seaborn.catplot`, such as ``col``. Without a run, the panels of a given ``col_order`` say so; else raises
+    `InputError`.
     """
+    if "col_order" not in facets:
+        some(runs, methods)
     if runs.empty:
-        raise InputError(f"no run of {', '.join(methods)} is left to draw: expected other methods or noises")
+        grid = sns.FacetGrid(runs, **facets)
+        for panel in grid.axes.flat:
+            panel.text(0.5, 0.5, "no run", ha="center", va="center", transform=panel.transAxes)
+            panel.set_axis_off()
+        return grid
     rows = runs.assign(ate_cm=100 * runs["ate_rmse_m"], drift_cm=100 * runs["raw_ate_rmse_m"])
     dodge = 0.8 - 0.8 / len(methods) if case != "method" else 0.0
     dots = {"x": "ate_cm", "y": case, "order": list(rows[case].cat.categories), "hue": "method", "hue_order": methods}

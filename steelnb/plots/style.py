@@ -81,7 +81,7 @@ CURVES: dict[str, Any] = {
 """How seaborn draws a table of `notebook.report.curves`."""
 BANDS: dict[str, Any] = {
     "x": "sample", "y": "error_m", "estimator": "median", "errorbar": ("pi", 80),
-    "hue": "curve", "hue_order": ["draws", "draw", "report"], "palette": COLOURS,
+    "hue": "curve", "palette": COLOURS,
     "size": "curve", "sizes": {"draws": 1.8, "draw": 1.0, "report": 2.0},
 }  # fmt: skip
 """How seaborn draws a table of `notebook.bands.draw_programs`."""

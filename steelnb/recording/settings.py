@@ -118,6 +118,7 @@ def recording_settings(
                 f" odometry, {', '.join(CALIBRATION)}, or --range-max for the range"
             )
     seen, before = settings.odometry.preprocess, preset.odometry.preprocess
+    seen.check_range(range_max_m)
     also = {"range_max_m": seen.crop_m} if seen.crop_m != before.crop_m else {}
     also |= {"floor_m": seen.floor_m} if seen.floor_m != before.floor_m else {}
     # Uncorrected poses are not adjusted, and smoothed ones already are.

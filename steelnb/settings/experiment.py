@@ -1,6 +1,7 @@
 """Settings of one experiment: the simulated world and the odometry."""
 
 import numbers
+from collections.abc import Mapping
 from typing import Annotated, Any, Self
 
 import numpy as np
@@ -111,7 +112,8 @@ class ExperimentSettings(Settings):
         if imu and trajectory in ("zigzag", "loops"):
             flight = flight.replace(still_s=REST_S)
         overrides = {} if overrides is None else overrides
-        _check_given_once(overrides, seed=None if _is_usual(seed) else seed, tower=tower)
+        given = {"trajectory": trajectory, "noise": noise, "seed": seed, "duration_s": duration_s, "tower": tower}
+        check_given_once(overrides, {name: None if _is_usual(name, value) else value for name, value in given.items()})
         settings = cls.model_construct(  # checked when they are changed
             sensor=sensor,
             noise_name=noise,
@@ -158,7 +160,9 @@ class ExperimentSettings(Settings):
         if isinstance(settings.odometry, ReportCloudSettings):
             settings = settings.override({"broken_off_s": plot.broken_off_s})
         overrides = {} if overrides is None else overrides
-        _check_given_once(overrides, seed=None if _is_usual(seed) else seed, tower=tower)
+        seed_given = None if _is_usual("seed", seed) else seed
+        given = {"noise": noise, "seed": seed_given, "duration_s": duration_s, "tower": tower}
+        check_given_once(overrides, {"trajectory": settings.flight.trajectory, **given})
         return settings.override(overrides)
 
     @classmethod
@@ -183,14 +187,27 @@ class ExperimentSettings(Settings):
         return super().override(full)
 
 
-def _is_usual(seed: Any) -> bool:
-    """Whether this may be the seed because none was given."""
-    return isinstance(seed, str) or (isinstance(seed, numbers.Integral) and seed == SEED)
+ARGUMENTS = {
+    "trajectory": "flight.trajectory", "noise": "noise_name", "seed": "seed", "duration_s": "flight.duration_s",
+    "tower": "tower",
+}  # fmt: skip
+"""Argument of `ExperimentSettings.preset` → its name in overrides. A method or sensor is chosen by its preset alone."""
 
 
-def _check_given_once(overrides: dict[str, Any], **arguments: Any) -> None:
-    """Raise `InputError` if an argument of a preset has another value in its overrides. None: not given, or usual."""
+def _is_usual(name: str, value: Any) -> bool:
+    """Whether an argument may have this value because none was given."""
+    if name == "seed":
+        return isinstance(value, str) or (isinstance(value, numbers.Integral) and value == SEED)
+    return (name, value) in (("trajectory", "zigzag"), ("noise", "random-walk"))
+
+
+def check_given_once(overrides: dict[str, Any], arguments: Mapping[str, Any]) -> None:
+    """Raise `InputError` if one of the `ARGUMENTS` has another value in the overrides. None: not given, or usual."""
+    checked_kind(overrides, "overrides", dict)
     for name, value in arguments.items():
-        again = checked_kind(overrides, "overrides", dict).get(name, value)
+        table, _, setting = ARGUMENTS[name].partition(".")
+        whole = overrides.get(table)
+        inner = whole if setting and isinstance(whole, dict) else {}
+        again = overrides.get(ARGUMENTS[name], inner.get(setting, value))
         if value is not None and np.any(again != value):
             raise InputError(f"{name} = {shown(value)}, and {shown(again)} in the overrides: expected one {name}")

@@ -93,3 +93,14 @@ def at_level(noise: str, level: float) -> str:
     parts = (part.strip().partition(":") for part in noise.split("+"))
     levels = [f"{name}:{level * float(given or REPORT_NOISE[name][1]):g}" for name, _, given in parts]
     return "+".join(text.replace("e+", "e") for text in levels)
+
+
+def without(noise: str, part: str) -> str:
+    """A noise without one of its parts; ``none`` if no other is left. Raises `InputError` for an unknown noise.
+
+    >>> without("yaw-random-walk+random-walk:0.001", "yaw-random-walk")
+    'random-walk:0.001'
+    """
+    Noise.parse(noise)
+    parts = [each.strip() for each in noise.split("+")]
+    return "+".join(each for each in parts if each.partition(":")[0] != part) or "none"

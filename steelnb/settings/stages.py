@@ -5,6 +5,7 @@ from typing import Annotated, Self
 
 from pydantic import Field
 
+from steelnb.core.errors import InputError
 from steelnb.settings.base import Finite, NotNegative, Positive, Probability, Settings
 
 THICKNESS_MIN, THICKNESS_MAX = 0.04, 0.2
@@ -21,6 +22,11 @@ class PreprocessSettings(Settings):
     def lowered(self, by_m: float) -> Self:
         """These settings for a world whose zero is ``by_m`` higher."""
         return self.replace(floor_m=self.floor_m - by_m) if by_m else self
+
+    def check_range(self, range_max_m: float | None) -> None:
+        """Raise `InputError` for the range of a sensor, if given, that is within a voxel."""
+        if range_max_m is not None and not range_max_m > self.voxel_leaf_m:
+            raise InputError(f"range_max_m = {range_max_m:g}: expected more than a voxel of {self.voxel_leaf_m:g} m")
 
 
 class HoughSettings(Settings):

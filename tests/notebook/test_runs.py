@@ -1,10 +1,12 @@
 """Runs that share a flight, their tables, and the basin of convergence."""
 
+import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
 import pytest
+import seaborn as sns
 
-from steelnb import experiment
+from steelnb import experiment, plots
 from steelnb.core.errors import InputError
 from steelnb.metrics import paired_clouds, position_error_m
 from steelnb.notebook import report, tables
@@ -13,7 +15,7 @@ from steelnb.notebook.basin import find_basin
 from steelnb.notebook.cases import plot_of, report_cases, with_earlier_runs
 from steelnb.notebook.clouds import assembled_clouds
 from steelnb.notebook.runs import flight_paths, run_all
-from steelnb.settings import ExperimentSettings
+from steelnb.settings import ExperimentSettings, Noise
 from steelnb.settings.report_plots import read_report_plots
 
 SHORT = {"tof.columns": 90, "tof.rows": 120}
@@ -82,13 +84,13 @@ def test_the_report_s_experiments_have_its_samples_and_its_curves():
     cases = report_cases(["orbit"], "constant-drift", {"average": ["average"], "gicp": ["report-gicp", "gicp"]})
     assert [case.flight.trajectory for case in cases] == ["orbit-3.3", "orbit", "orbit"]
     assert {case.seed for case in cases} == {"report"}
-    plots = [plot_of(case) for case in cases]
-    assert [(plot.figure, plot.method) for plot in plots] == [("3.3", "average"), ("3.6", "gicp"), ("3.6", "gicp")]
-    assert [case.tof.samples for case in cases] == [plot.name for plot in plots]
-    time_s, error_m = report.report_curve(plots[0])
-    assert report.report_curve(plots[0], until_s=60.0)[0].max() <= 60
+    theirs = [plot_of(case) for case in cases]
+    assert [(plot.figure, plot.method) for plot in theirs] == [("3.3", "average"), ("3.6", "gicp"), ("3.6", "gicp")]
+    assert [case.tof.samples for case in cases] == [plot.name for plot in theirs]
+    time_s, error_m = report.report_curve(theirs[0])
+    assert report.report_curve(theirs[0], until_s=60.0)[0].max() <= 60
     assert (error_m.mean(), error_m.max(), error_m[-1]) == pytest.approx((0.285, 0.417, 0.33), abs=0.003)
-    assert time_s[-1] == pytest.approx(plots[0].duration_s, abs=2)
+    assert time_s[-1] == pytest.approx(theirs[0].duration_s, abs=2)
     walk = report_cases(["orbit"], "random-walk", {"average": ["average"]})[0]
     assert walk.tof == cases[0].tof
     assert plot_of(walk) is None, "the report shows segments with constant drift alone"
@@ -96,6 +98,10 @@ def test_the_report_s_experiments_have_its_samples_and_its_curves():
     assert plot_of(elsewhere) is None, "the same samples on another flight"
     other = report_cases(["orbit"], "constant-drift", {"gicp": ["gicp"]}, tower="heavy")[0]
     assert plot_of(other) is None, "the same flight past another tower"
+    path = [[0.5, 2.5, 0.1, -90.0, 0.0], [0.5, 2.5, 2.0, -90.0, 15.0], [-1.5, 2.5, 2.0, -90.0, 100.0]]
+    own = {"flight.still_s": 0.0, "flight.duration_s": 110.0, "flight.waypoints": path}
+    waypoints = report_cases(["vertical"], "constant-drift", {"average": ["average"]}, overrides=own)[0]
+    assert plot_of(waypoints) is None, "the same name of another flight"
     with pytest.raises(InputError, match="'best' on the flight 'orbit'"):
         report_cases(["orbit"], "random-walk", {"best": ["best"]})
     early, late = (plot for plot in read_report_plots() if plot.name.startswith("3.5 vertical icp-3dof"))
@@ -132,6 +138,28 @@ def test_a_band_holds_its_draws_and_says_where_the_report_lies():
     faulty = cases[0].override({"tof.faults": ["footprint"]})
     with pytest.raises(InputError, match="draws of the noise: expected a sensor without faults"):
         draw_programs([faulty], 2)
+
+
+@pytest.mark.parametrize("curves", [["draws", "draw"], ["draws", "draw", "report"]])
+def test_a_legend_of_bands_names_the_curves_that_are_there(curves):
+    drawn = pd.DataFrame([{"curve": name, "sample": k, "error_m": 0.1 * k} for name in curves for k in (1, 2)])
+    panel = sns.lineplot(drawn, ax=plt.figure().add_subplot(), **plots.BANDS)
+    assert panel.get_legend_handles_labels()[1] == curves
+
+
+def test_an_axis_of_errors_shows_every_curve():
+    case = dict.fromkeys(tables.CASE_COLUMNS, "x")
+    curves = pd.DataFrame([{**case, "curve": name, "error_m": m} for name, m in (("a", 0.0), ("a", 0.07), ("b", 0.3))])
+    assert report.error_floor_m(curves) == 0.005
+    curves.loc[1, "error_m"] = 0.002
+    assert report.error_floor_m(curves) == pytest.approx(0.0002)
+    assert report.error_floor_m(curves[:1]) == 0.005, "no error is above 0"
+
+
+def test_the_report_s_seed_has_drifts_of_the_report_s_noises_alone():
+    stamp_s = np.arange(3) / 125
+    assert report.seed_drift(stamp_s, Noise.parse("random-walk"))[-1] > 0
+    assert np.isnan(report.seed_drift(stamp_s, Noise.parse("random-walk:0.004"))).all()
 
 
 def test_the_earlier_run_of_a_plot_is_flown_before_it():

@@ -30,7 +30,7 @@ def test_a_readable_table_shows_chosen_columns_rounded_and_counts_as_integers():
         {"method": ["a", "b"], "scans": [3.0, np.nan], "recall": [1.0, 1.0], "ate_rmse_m": [0.12345, np.nan], "x": 1}
     )
     before = table.copy()
-    shown = readable(table.set_index("method"), ["scans", "recall", "ate_rmse_m"])
+    shown = readable(table.set_index("method"), ["scans", "recall", "ate_rmse_m", "of_no_run_m"])
     assert list(shown) == ["scans", "recall", "ATE (m)"]
     assert shown["scans"].tolist() == [3, pd.NA]
     assert shown["recall"].dtype == float, "a share"

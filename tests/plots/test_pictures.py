@@ -9,8 +9,9 @@ import seaborn as sns
 from matplotlib.colors import to_rgb
 
 from steelnb import plots
+from steelnb.core.errors import InputError
 from steelnb.core.types import Segments
-from steelnb.plots.charts import error_dots
+from steelnb.plots.charts import error_dots, some
 from steelnb.plots.draw import in_view
 from steelnb.plots.flight import figure_bars
 
@@ -87,6 +88,16 @@ def test_rows_of_methods_are_named_as_in_the_legends_of_other_figures():
     rows = pd.DataFrame({"method": methods * 2, "ate_rmse_m": [0.1, 0.2, 0.3, 0.4], "raw_ate_rmse_m": 0.5})
     grid = error_dots(rows.astype({"method": pd.CategoricalDtype(methods)}), "method", methods)
     assert [tick.get_text() for tick in grid.axes.flat[0].get_yticklabels()] == [plots.LABELS[each] for each in methods]
+
+
+def test_a_figure_without_runs_says_so_and_a_study_without_runs_is_refused():
+    rows = pd.DataFrame({"method": ["best"], "case": pd.Categorical(["x"]), "flight": "orbit", "ate_rmse_m": 0.1})
+    grid = error_dots(rows[:0], "case", ["best"], col="flight", col_order=["vertical", "orbit"])
+    assert [[text.get_text() for text in panel.texts] for panel in grid.axes.flat] == [["no run"]] * 2
+    assert some(rows, ["best"]) is rows
+    for refused in (lambda: some(rows[:0], ["best"]), lambda: error_dots(rows[:0], "case", ["best"], col="flight")):
+        with pytest.raises(InputError, match="no run of best is left to draw"):
+            refused()
 
 
 def test_a_stray_point_does_not_make_the_rest_a_dot():

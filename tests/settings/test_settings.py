@@ -1,5 +1,6 @@
 import copy
 import json
+from dataclasses import replace
 from typing import get_args
 
 import numpy as np
@@ -19,6 +20,7 @@ from steelnb.settings import (
     read_report_plots,
 )
 from steelnb.settings.flight import REST_S
+from steelnb.settings.noise import without
 from steelnb.settings.odometry import FAMILIES
 from steelnb.settings.presets import PRESETS
 from steelnb.settings.report_plots import STEP_S
@@ -68,6 +70,9 @@ from steelnb.simulation.tof import scan_steps
         ({"sensor": "starling2-honest", "overrides": {"imu.gyro_noise": float("nan")}}, "gyro_noise = nan"),
         ({"overrides": {"imu.gyro_noise": 1e-3}}, r"imu.gyro_noise = 0.001: imu is None; expected all of it"),
         ({"overrides": {"sensor": "report"}}, "sensor = 'report': this is 'starling2'; choose it by its preset"),
+        ({"noise": "tilt", "overrides": {"noise_name": "none"}}, "noise = 'tilt', and 'none' in the overrides"),
+        ({"trajectory": "loops", "overrides": {"flight.trajectory": "zigzag"}}, "trajectory = 'loops', and 'zigzag'"),
+        ({"duration_s": 9.0, "overrides": {"flight.duration_s": 8.0}}, "duration_s = 9.0, and 8.0"),
         ({"seed": 3, "overrides": {"seed": 7}}, "seed = 3, and 7 in the overrides: expected one seed"),
         ({"tower": "heavy", "overrides": {"tower": "light"}}, "tower = 'heavy', and 'light' in the overrides"),
         ({"overrides": {"flight.height_min_m": 8.0, "flight.height_max_m": 2.0}}, "height_min_m = 8 above height_max"),
@@ -84,6 +89,21 @@ def test_a_bad_setting_is_named_in_one_line(arguments, says):
     with pytest.raises(InputError, match=says) as caught:
         ExperimentSettings.preset(**arguments)
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("noise", "left"),
+    [
+        ("random-walk:0.001+yaw-random-walk", "random-walk:0.001"),
+        ("yaw-random-walk + random-walk", "random-walk"),
+        ("random-walk+yaw-random-walk:0.001+tilt", "random-walk+tilt"),
+        ("yaw-random-walk", "none"),
+        ("random-walk", "random-walk"),
+    ],
+)
+def test_a_noise_without_one_of_its_parts_keeps_the_others(noise, left):
+    assert without(noise, "yaw-random-walk") == left
+    assert Noise.parse(left) == replace(Noise.parse(noise), yaw_random_walk_rad=0.0)
 
 
 def test_the_first_two_scans_are_counted_after_the_overrides():
