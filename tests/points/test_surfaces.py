@@ -66,8 +66,8 @@ def test_bars_of_a_lattice_and_scattered_points_are_no_surface():
 
 
 def test_a_surface_continues_to_its_rim_and_over_patches_but_not_to_what_lies_beside_it():
-    deck, patch = sheet(4.0, 3.0), sheet(0.3, 1.2, seed=1) + [1.0, 3.0, 0.0]  # seen between two shadows
-    beside, above = sheet(4.0, 0.1, seed=2) - [0.0, 0.35, 0.0], sheet(4.0, 0.1, seed=3) + [0.0, 2.9, 0.3]
+    deck, patch = sheet(4.0, 3.0), sheet(0.3, 1.2, seed=1) + np.array([1.0, 3.0, 0.0])  # seen between two shadows
+    beside, above = sheet(4.0, 0.1, seed=2) - [0.0, 0.35, 0.0], sheet(4.0, 0.1, seed=3) + np.array([0.0, 2.9, 0.3])
     points = np.concatenate([deck, patch, beside, above])
     found = Surfaces.found_in(points, CELL_M).grown(points)
     assert len(found) == 1
