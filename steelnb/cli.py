@@ -153,10 +153,10 @@ def run(
 def record(
     file: Annotated[Path, typer.Argument(metavar="FILE", help="Output file, .bag or .mcap.")],
     trajectory: Annotated[str, typer.Option(metavar="NAME", help=f"One of {', '.join(TRAJECTORIES)}.")] = "zigzag",
-    duration: Annotated[float, typer.Option(help="Duration of the flight in seconds.")] = 60.0,
+    duration: Annotated[float | None, typer.Option(help="Duration of the flight in seconds. Default: 60.")] = None,
     noise: Annotated[
-        str, typer.Option(help="Drift of the recorded poses: NAME or NAME:LEVEL. Join several with +.")
-    ] = "random-walk:0.002",
+        str | None, typer.Option(help="Drift of the poses: NAME or NAME:LEVEL, or several. Default: random-walk:0.002.")
+    ] = None,
     sensor: Annotated[str, typer.Option(metavar="NAME", help="Sensor preset, or FILE.toml.")] = "starling2",
     seed: Annotated[int, typer.Option(help="Seed of drift, sensor noise and gusts.")] = 1,
     changed: Set = None,
@@ -173,14 +173,13 @@ def record(
         from steelnb.io.recordings import truth_path
         from steelnb.settings import ExperimentSettings
 
-        options: dict[str, Any] = {"sensor": sensor, "seed": seed, "duration_s": duration}
-        options |= {"trajectory": trajectory, "noise": noise, "overrides": _overrides(changed)}
-        settings = ExperimentSettings.preset(**options)
-        idle = [name for name in options["overrides"] if ExperimentSettings.table_of(name) == "odometry"]
+        options: dict[str, Any] = {"trajectory": trajectory, "sensor": sensor, "seed": seed}
+        options |= {k: v for k, v in (("duration_s", duration), ("noise", noise)) if v is not None}
+        usual = {"flight.duration_s": duration or 60.0, "noise_name": noise or "random-walk:0.002"}
+        settings = ExperimentSettings.preset(**options, overrides=usual | (overrides := _overrides(changed)))
+        idle = [name for name in overrides if ExperimentSettings.table_of(name) == "odometry"]
         if idle and trajectory != "planned":
-            raise InputError(
-                f"{idle[0]}: a setting of the odometry, which changes nothing in a recording; give it to `run`"
-            )
+            raise InputError(f"{idle[0]}: a setting of the odometry changes nothing in a recording; give it to `run`")
         check_target(file, force)
         on_stage("flying")
         flight, truth = experiment.simulate(settings, on_share)

@@ -111,6 +111,10 @@ BAD = (
     (["record", "b.bag", "--duration", "0"], "duration_s = 0.0"),
     (["record", "b.bag", "--seed", "3", "--set", "seed=7"], "seed = 3, and 7 in the overrides: expected one seed"),
     (["record", "b.bag", "--set", "sensor=report"], "sensor = 'report': this is 'starling2'; choose it by its preset"),
+    (
+        ["record", "b.bag", "--duration", "5", "--set", "flight.duration_s=6"],
+        "duration_s = 5.0, and 6 in the overrides",
+    ),
     (["record", "b.bag", "--set", "preprocess.crop_m=3"], "preprocess.crop_m: a setting of the odometry"),
     (["record", "b.bag", "--set", "odometry.preprocess.crop_m=3"], "odometry.preprocess.crop_m: a setting of the"),
     (["run", "a.mcap", "--set", "tof.rate_hz=3"], "tof.rate_hz: a setting of simulated flights"),
@@ -141,6 +145,13 @@ def test_a_flight_is_recorded_and_corrected(here: Path, corrected: Path) -> None
     assert truth is not None
     error_m = np.linalg.norm(found.position - truth.at(found.stamp_s).position, axis=1)
     assert np.sqrt((error_m**2).mean()) == pytest.approx(numbers["corrected_ate_rmse_m"], rel=1e-4)
+
+
+def test_what_is_set_replaces_what_is_usual(tmp_path: Path, capsys) -> None:
+    changes = ("flight.duration_s=1.0", "noise_name=yaw-random-walk", "tof.rate_hz=4")
+    target = str(tmp_path / "short.mcap")
+    assert cli.main(["record", target, *(word for each in changes for word in ("--set", each))]) == 0
+    assert "4 scans" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("name", ["Held", "Mounted"])
