@@ -4,7 +4,6 @@ Every check is bound to the name of a parameter and sees the values of all. Libr
 imported by the checks that need them, so that a refusal takes no longer than the start of a kernel.
 """
 
-import inspect
 import itertools
 import math
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
@@ -27,6 +26,9 @@ from steelnb.settings import METHODS, TOWERS, ExperimentSettings, OrbSettings
 from steelnb.settings.experiment import ARGUMENTS, check_given_once
 from steelnb.settings.noise import Noise, at_level
 
+WORLD = "seed", "duration_s", "overrides", "tower"
+BASIN = "trajectory", "noise", "sensor", "correspondence_m", *WORLD
+"""The parameters that `world_cases` and `basin_cases` have arguments for."""
 PRESET_ARGUMENTS = "trajectory", "noise", "method", "sensor", "seed", "duration_s", "overrides", "tower"
 DRIFT_MIN_S = 60.0
 SIDE_MAX = 100
@@ -67,20 +69,24 @@ def _combinations(values: Values) -> Iterator[dict[str, Any]]:
         yield given
 
 
-def _called(cases: Callable[..., Any], values: Values) -> Any:
-    """What a function returns for the parameters that it has arguments for."""
-    return cases(**{name: values[name] for name in inspect.signature(cases).parameters if name in values})
+def _given(values: Values, *names: str) -> dict[str, Any]:
+    """The parameters of these names that a notebook has."""
+    return {name: values[name] for name in names if name in values}
 
 
 def _experiments(values: Values) -> None:
     """Make the settings of all experiments of the notebook that has these parameters."""
-    own = next((OWN_CASES[name] for name in OWN_CASES if name in values), ())
-    for cases in own:
-        _called(cases, values)
-    if methods := _flown(values):
-        flown = {**values, "trajectory": _all(values["trajectory"]), "methods": methods}
-        with_earlier_runs(_called(report_cases, flown))
-    elif not own:
+    if "drift_s" in values:
+        world_cases(**_given(values, *WORLD))
+    elif "correspondence_m" in values:
+        basin_cases(**_given(values, *BASIN))
+        slip_cases(**_given(values, *BASIN, "blind_s"))
+    elif "flights" in values:
+        planner_cases(**_given(values, "flights", "noise", "method", "sensor", "seed", "duration_s", "overrides"))
+    elif methods := _flown(values):
+        given = _given(values, "noise", "sensor", *WORLD)
+        with_earlier_runs(report_cases(_all(values["trajectory"]), methods=methods, **given))
+    else:
         for each in _combinations(values):
             ExperimentSettings.preset(**each)
 
@@ -163,7 +169,7 @@ def _check_cloud_seeds(values: Values) -> None:
 def _check_poor_starts(values: Values) -> None:
     from steelnb.notebook.basin import MAP_EVERY
 
-    case = next(iter(_called(basin_cases, values).values()))
+    case = next(iter(basin_cases(**_given(values, *BASIN)).values()))
     scans = (case.flight.duration_s - case.tof.start_s) * case.tof.rate_hz
     most = len(range(MAP_EVERY // 2, math.ceil(scans), MAP_EVERY))
     if values["poor_starts"] > most:
@@ -226,7 +232,3 @@ CHECKS: Mapping[str, Callable[[Values], None]] = {
     "recording": _check_recording,
 }
 """Parameter → its check."""
-OWN_CASES: Mapping[str, tuple[Callable[..., Any], ...]] = {
-    "drift_s": (world_cases,), "correspondence_m": (basin_cases, slip_cases), "flights": (planner_cases,),
-}  # fmt: skip
-"""A parameter of one notebook → what makes its experiments."""
