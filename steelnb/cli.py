@@ -171,12 +171,13 @@ def record(
         from steelnb.io import write_flight
         from steelnb.io.bag_writer import check_target
         from steelnb.io.recordings import truth_path
-        from steelnb.settings import ExperimentSettings
+        from steelnb.settings.experiment import ARGUMENTS, ExperimentSettings, overridden
 
         options: dict[str, Any] = {"trajectory": trajectory, "sensor": sensor, "seed": seed}
-        options |= {k: v for k, v in (("duration_s", duration), ("noise", noise)) if v is not None}
-        usual = {"flight.duration_s": duration or 60.0, "noise_name": noise or "random-walk:0.002"}
-        settings = ExperimentSettings.preset(**options, overrides=usual | (overrides := _overrides(changed)))
+        options["overrides"] = overrides = _overrides(changed)
+        for name, value, usual in (("duration_s", duration, 60.0), ("noise", noise, "random-walk:0.002")):
+            options[name] = overridden(overrides, ARGUMENTS[name], usual) if value is None else value
+        settings = ExperimentSettings.preset(**options)
         idle = [name for name in overrides if ExperimentSettings.table_of(name) == "odometry"]
         if idle and trajectory != "planned":
             raise InputError(f"{idle[0]}: a setting of the odometry changes nothing in a recording; give it to `run`")

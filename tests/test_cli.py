@@ -147,8 +147,9 @@ def test_a_flight_is_recorded_and_corrected(here: Path, corrected: Path) -> None
     assert np.sqrt((error_m**2).mean()) == pytest.approx(numbers["corrected_ate_rmse_m"], rel=1e-4)
 
 
-def test_what_is_set_replaces_what_is_usual(tmp_path: Path, capsys) -> None:
-    changes = ("flight.duration_s=1.0", "noise_name=yaw-random-walk", "tof.rate_hz=4")
+@pytest.mark.parametrize("duration", ["flight.duration_s=1.0", "flight={duration_s=1.0}"])
+def test_what_is_set_replaces_what_is_usual(tmp_path: Path, duration: str, capsys) -> None:
+    changes = (duration, "noise_name=yaw-random-walk", "tof.rate_hz=4")
     target = str(tmp_path / "short.mcap")
     assert cli.main(["record", target, *(word for each in changes for word in ("--set", each))]) == 0
     assert "4 scans" in capsys.readouterr().out

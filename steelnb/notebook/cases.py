@@ -8,6 +8,7 @@ from steelnb.core import rng
 from steelnb.core.checks import shown
 from steelnb.core.errors import InputError
 from steelnb.settings import ExperimentSettings, TrajectoryName
+from steelnb.settings.experiment import overridden
 from steelnb.settings.report_plots import ReportPlot, read_report_plots
 
 PAIR = "max_correspondence_m"
@@ -22,10 +23,10 @@ PLANNER_FLIGHTS: Mapping[str, tuple[TrajectoryName, dict[str, Any]]] = {
 def joined(changes: Mapping[str, Any], overrides: Mapping[str, Any], case: str) -> dict[str, Any]:
     """The changes that make a case what its name says, with a reader's ``overrides``. Raises `InputError` for an
     override of one of these."""
-    for name in changes:
-        if name in overrides:
+    for name, value in changes.items():
+        if (again := overridden(overrides, name, None)) is not None:
             raise InputError(
-                f"overrides: {name} = {shown(overrides[name])}: {case!r} sets it to {shown(changes[name])}"
+                f"overrides: {name} = {shown(again)}: {case!r} sets it to {shown(value)}; leave out one of them"
             )
     return {**changes, **overrides}
 

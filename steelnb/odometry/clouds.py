@@ -114,7 +114,7 @@ class CloudOdometry(BaseOdometry):
         )  # fmt: skip
         self.sigma_filter_px = s.sigma_filter_px
         self.near_side = NearSide()
-        self._normal = np.zeros((0, 3))  # of the last points that `preprocessed` returned, on wide surfaces
+        self._surfaces = np.zeros((2, 0, 3))  # points on wide surfaces, the last that `preprocessed` returned; normals
 
     def _update(self, scan: Scan, prior: Array, watch: Stopwatch) -> Outcome:
         T_world_drone, reason, matches, unobserved = self.corrected(scan, prior, watch)
@@ -151,14 +151,15 @@ class CloudOdometry(BaseOdometry):
             on_surface = pixels_on_surfaces(scan.points, T_world_drone @ mount, s.crop_m, s.floor_m)
         if self.sigma_filter_px:
             scan = Scan(scan.stamp_s, smooth_ranges(scan.points, self.sigma_filter_px), scan.fault)
-        self._normal = np.zeros((0, 3))
+        self._surfaces = np.zeros((2, 0, 3))
         if not on_surface.any():
             points = preprocess_scan(scan, T_world_drone, mount, s)
             return self.near_side.shifted(points, mount[:3, 3]) if self.style.near_side else points
         without = [np.where(mask[..., None], np.nan, scan.points) for mask in (on_surface, ~on_surface)]
         parts = [preprocess_scan(Scan(scan.stamp_s, points), T_world_drone, mount, s) for points in without]
-        bars, surfaces, self._normal = parted(*parts)
-        return np.concatenate([self.near_side.shifted(bars, mount[:3, 3]), surfaces])
+        bars, *surfaces = parted(*parts)
+        self._surfaces = np.array(surfaces)
+        return np.concatenate([self.near_side.shifted(bars, mount[:3, 3]), self._surfaces[0]])
 
     def _prepare(self, points: Array, T_init: Array) -> tuple[AnyTarget | None, Array | None]:
         """The part of the map that a scan may see, None if empty, and the covariances of the scan's points."""
@@ -191,7 +192,10 @@ class CloudOdometry(BaseOdometry):
         extra = range_sigma_m(distance) ** 2 - across
         i, j = UPPER
         covariance = (extra[:, None] * ray)[:, i] * ray[:, j] + across * np.eye(3)[UPPER]
-        covariance[len(points) - len(self._normal) :] += within_plane(self._normal)
+        surfaces, normal = self._surfaces
+        first = len(points) - len(surfaces)
+        if first >= 0 and np.array_equal(points[first:], surfaces):  # unless a subclass has chosen some
+            covariance[first:] += within_plane(normal)
         return covariance
 
     def _register(

@@ -16,9 +16,9 @@ from steelnb.points.covariances import UPPER, neighbour_covariances, normals
 
 SHARE_MIN = 0.05
 """Minimum share of a scan's points on such surfaces. Below it they are bars that cross in the image: up to 0.01."""
-BESIDE_M, ASIDE_M = 0.5, 0.04
-"""Points this near to one on a surface, and this near to its plane, are on it too: seen between two bars, a surface is
-as narrow as they are."""
+BESIDE_M, ASIDE_M, TURN_RAD = 2.0, 0.04, 0.03
+"""Points this near to one on a surface are on it too if they are this near to its plane, whose normal may be wrong by
+an angle: seen between two bars, or from far away, a surface has no width."""
 PLANE_M2 = 1.0
 """Variance within a surface, as in GICP's plane-to-plane model."""
 
@@ -44,7 +44,7 @@ def parted(bars: Array, surfaces: Array) -> tuple[Array, Array, Array]:
     distance, near = cKDTree(surfaces).query(bars, distance_upper_bound=BESIDE_M)
     found = np.flatnonzero(np.isfinite(distance))
     aside = np.einsum("ni,ni->n", bars[found] - surfaces[near[found]], normal[near[found]])
-    beside = found[np.abs(aside) < ASIDE_M]
+    beside = found[np.abs(aside) < ASIDE_M + TURN_RAD * distance[found]]
     return (
         np.delete(bars, beside, axis=0),
         np.concatenate([surfaces, bars[beside]]),

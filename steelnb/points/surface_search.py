@@ -18,6 +18,9 @@ of the usual one; and distance of what is sparse from it, in voxels, since range
 RINGS, NEW_RINGS_MIN, BELOW_MAX, CONTINUED = (8, 16, 32), 0.02, 0.02, 6.4
 """Cells in which ground is sought that was scanned in rings, in multiples of the edge; minimum share of it that is new;
 maximum share of the points below it; and how many times farther than other surfaces it continues past its cells."""
+STEPS, GROUND_STEPS = 3, 9
+"""Maximum number of cells by which a surface continues, and by which ground does, which is seen in strips and patches.
+A member may continue a wall or a deck in its plane."""
 RINGS_MAX, ROWS_MIN, LINE_CELLS = 0.8, 0.97, 2.5
 """Maximum share of the lines of rings in four directions, .4 to .6 for ground and 1 for a lattice; minimum share of
 those on a wall in one direction; and radius, in cells, in which a direction is measured."""
@@ -56,7 +59,9 @@ def surfaces_of(voxels: VoxelMap, ridge: Array, cell_m: float) -> Surfaces:
         found = found.extended(thin, wider * cell_m, near_m, is_ground_in_rings, NEW_RINGS_MIN)
     # Last, since what is sought in wider cells must be new.
     is_in_rings = found.cell_m > COARSER[-1] * cell_m
-    return replace(found, reach_m=np.where(is_in_rings, CONTINUED, 1.0) * found.reach_m).grown(thin)
+    found = replace(found, reach_m=np.where(is_in_rings, CONTINUED, 1.0) * found.reach_m)
+    is_ground = found.is_level & (_share_below(found, thin) <= BELOW_MAX)
+    return found.grown(thin, np.where(is_ground, GROUND_STEPS, STEPS))
 
 
 def _lines_off(

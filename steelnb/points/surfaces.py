@@ -25,9 +25,9 @@ TURN_MAX_RAD = math.radians(15)
 BESIDE = 2.5
 """Points within this many cells of a surface's cell, and in its band, belong to it. Covered discs end one to two cells
 before its rim."""
-STEP, STEPS, RISE_MAX = 1.2, 14, 0.4
-"""How far apart cells are that continue a surface, in cells; maximum number of steps; and maximum distance of a cell
-from the plane at the step before, as a share of the band. A member beside a deck is off its plane or behind a gap."""
+STEP, RISE_MAX = 1.2, 0.4
+"""How far apart cells are that continue a surface, in cells, and maximum distance of a cell from the plane at the step
+before, as a share of the band. A member beside a deck is off its plane or behind a gap."""
 NEW_MIN = 0.1
 """Minimum share of a surface in wider cells that narrower ones have not found."""
 CELLS_MIN = 80
@@ -100,18 +100,18 @@ class Surfaces:
         cell = np.full(large.sum(), cell_m)
         return cls(cell, point[large], normal[large], BESIDE * cell, rank[group[large]], band_m)
 
-    def grown(self, points: Array) -> "Surfaces":
-        """These, continued to their rims and over what is seen in patches: cells of a cloud ``(N, 3)`` that lie next to
-        each other, each in the plane of the one before."""
+    def grown(self, points: Array, steps: IntArray) -> "Surfaces":
+        """These, continued to their rims: cells of a cloud ``(N, 3)`` that lie next to each other, each in the plane of
+        the one before. ``steps (S,)``: maximum number of such cells in a row for each surface."""
         if not len(self.point):
             return self
         rest, parts, edge = voxel_grid(points, float(self.cell_m.min())), [self], self
-        for _ in range(STEPS):
+        for done in range(int(steps.max())):
             if not len(edge.point) or not len(rest):
                 break
             far_m = STEP * edge.cell_m
             distance, before = cKDTree(edge.point).query(rest, distance_upper_bound=float(far_m.max()))
-            near = np.flatnonzero(distance < np.append(far_m, 0.0)[before])
+            near = np.flatnonzero(distance < np.append(np.where(steps[edge.label] > done, far_m, 0.0), 0.0)[before])
             normal = edge.normal[before[near]]
             rise = np.einsum("ni,ni->n", rest[near] - edge.point[before[near]], normal)
             level = np.abs(rise) <= RISE_MAX * self.band_m

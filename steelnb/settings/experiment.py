@@ -201,13 +201,18 @@ def _is_usual(name: str, value: Any) -> bool:
     return (name, value) in (("trajectory", "zigzag"), ("noise", "random-walk"))
 
 
+def overridden(overrides: Mapping[str, Any], name: str, value: Any) -> Any:
+    """What the overrides set a dotted ``name`` to, on its own or in a whole table; else ``value``."""
+    table, _, setting = name.partition(".")
+    whole = overrides.get(table)
+    inner = whole if setting and isinstance(whole, dict) else {}
+    return overrides.get(name, inner.get(setting, value))
+
+
 def check_given_once(overrides: dict[str, Any], arguments: Mapping[str, Any]) -> None:
     """Raise `InputError` if one of the `ARGUMENTS` has another value in the overrides. None: not given, or usual."""
     checked_kind(overrides, "overrides", dict)
     for name, value in arguments.items():
-        table, _, setting = ARGUMENTS[name].partition(".")
-        whole = overrides.get(table)
-        inner = whole if setting and isinstance(whole, dict) else {}
-        again = overrides.get(ARGUMENTS[name], inner.get(setting, value))
+        again = overridden(overrides, ARGUMENTS[name], value)
         if value is not None and np.any(again != value):
             raise InputError(f"{name} = {shown(value)}, and {shown(again)} in the overrides: expected one {name}")

@@ -223,6 +223,19 @@ def test_chords_beside_and_beams_below_a_deck_are_bars(gap_m, rise_m):
     assert len(found.surfaces) == 1
 
 
+@pytest.mark.parametrize("aside_m", [0.0, 0.08])
+@pytest.mark.parametrize("beyond", ["posts over a wall", "beams past a deck"])
+def test_members_that_continue_a_surface_in_its_plane_keep_their_length(beyond, aside_m):
+    order, surface = ([0, 2, 1], sheet(4.0, 2.0)) if beyond == "posts over a wall" else ([0, 1, 2], sheet(4.0, 4.0))
+    rim = surface[:, 1].max()
+    bars = np.array([[[x, rim, aside_m], [x, rim + 2.0, aside_m]] for x in (0.5, 2.0, 3.5)])
+    edge = np.array([[[0.5, rim + 1.9, aside_m], [3.5, rim + 1.9, aside_m]]])
+    steel = scanned(np.concatenate([bars, edge]), 600, 0.08, 0.005)
+    found = bars_of_cloud(np.concatenate([surface, steel])[:, order])
+    assert len(found.bars) == 4
+    assert found.bars.length.min() > 1.0
+
+
 def test_ground_that_is_rougher_and_sparser_than_the_steel_does_not_set_the_tube():
     rng = np.random.default_rng(6)
     ground = sheet(16.0, 16.0, per_m2=400) - [8.0, 8.0, 0.0]

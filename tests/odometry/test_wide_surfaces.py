@@ -1,10 +1,11 @@
 import numpy as np
 import pytest
 
-from steelnb.core.types import Flight
+from steelnb.core.types import Flight, Scan
 from steelnb.experiment import estimate, redrift
+from steelnb.odometry.clouds import CloudOdometry
 from steelnb.odometry.wide_surfaces import ASIDE_M, parted, pixels_on_surfaces, within_plane
-from steelnb.settings import ExperimentSettings
+from steelnb.settings import ExperimentSettings, OdometrySettings
 from steelnb.simulation import Truth, build_tower, fly, scan_flight
 from tests.odometry.test_near_side import strip
 
@@ -36,13 +37,29 @@ def test_points_beside_a_surface_join_it_with_its_normal():
     x, y = np.meshgrid(np.arange(-1, 1, 0.05), np.arange(-1, 1, 0.05))
     ground = np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)])
     bar = np.column_stack([np.zeros((21, 2)), np.linspace(0.0, 1.0, 21)])
-    bars, surfaces, normal = parted(np.concatenate([bar, [[1.2, 0.0, 0.01], [3.0, 0.0, 0.0]]]), ground)
+    bars, surfaces, normal = parted(np.concatenate([bar, [[1.2, 0.0, 0.01], [3.5, 0.0, 0.0]]]), ground)
     assert (bars[:-1, 2] >= ASIDE_M).all()
-    assert bars[-1] == pytest.approx([3.0, 0.0, 0.0])  # too far from what is known to be ground
+    assert bars[-1] == pytest.approx([3.5, 0.0, 0.0])  # too far from what is known to be ground
     assert len(bars) + len(surfaces) == len(ground) + 23
     assert np.abs(normal[:, 2]) == pytest.approx(np.ones(len(surfaces)))
     assert within_plane(normal[:1])[0] == pytest.approx([1, 0, 0, 1, 0, 0], abs=1e-9)
     assert len(parted(np.zeros((0, 3)), ground)[0]) == 0
+
+
+class Thinned(CloudOdometry):
+    """A user's odometry, which registers every other point."""
+
+    def preprocessed(self, scan, T_world_drone):
+        return super().preprocessed(scan, T_world_drone)[::2]
+
+
+def test_a_subclass_may_choose_among_the_points():
+    odometry = Thinned(OdometrySettings.preset("best", overrides={"preprocess.floor_m": -10.0}))
+    scan, *_ = over(4.0, 240)
+    for k in range(3):
+        step = odometry.update(Scan(0.2 * k, scan), np.eye(4))
+    assert step.used
+    assert np.isfinite(step.T_world_drone).all()
 
 
 @pytest.mark.parametrize("seed", [11, 13])

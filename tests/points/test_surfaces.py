@@ -38,7 +38,7 @@ def test_a_sheet_is_one_surface_however_it_lies(turn_deg, shift_m):
 def test_surfaces_are_numbered_by_size_and_far_points_are_on_none():
     large, small = sheet(5.0, 4.0), sheet(2.0, 2.0, seed=1) + np.array([0.0, 0.0, 3.0])
     points = np.concatenate([small, large])
-    found = Surfaces.found_in(points, CELL_M).grown(points)
+    found = Surfaces.found_in(points, CELL_M).grown(points, np.array([3, 3]))
     assert len(found) == 2
     assert (found.label_of(large) == 0).mean() > 0.99
     assert (found.label_of(small) == 1).mean() > 0.99
@@ -69,10 +69,10 @@ def test_a_surface_continues_to_its_rim_and_over_patches_but_not_to_what_lies_be
     deck, patch = sheet(4.0, 3.0), sheet(0.3, 1.2, seed=1) + np.array([1.0, 3.0, 0.0])  # seen between two shadows
     beside, above = sheet(4.0, 0.1, seed=2) - [0.0, 0.35, 0.0], sheet(4.0, 0.1, seed=3) + np.array([0.0, 2.9, 0.3])
     points = np.concatenate([deck, patch, beside, above])
-    found = Surfaces.found_in(points, CELL_M).grown(points)
+    found = Surfaces.found_in(points, CELL_M).grown(points, np.array([14]))
     assert len(found) == 1
     for cloud, is_on in ((deck, True), (patch, True), (beside, False), (above, False)):
         assert ((found.label_of(cloud) == 0) == is_on).mean() > 0.98
-    nothing = Surfaces.found_in(beside, CELL_M).grown(beside)
+    nothing = Surfaces.found_in(beside, CELL_M).grown(beside, np.zeros(0, dtype=int))
     assert len(nothing) == 0
     assert (nothing.label_of(beside) == -1).all()
