@@ -14,8 +14,9 @@ from steelnb.fusion.point_to_bar import world_points
 from steelnb.odometry.near_side import WIDTH_MAX_M, strip_widths
 from steelnb.points.covariances import UPPER, neighbour_covariances, normals
 
-SHARE_MIN = 0.05
-"""Minimum share of a scan's points on such surfaces. Below it they are bars that cross in the image: up to 0.01."""
+SHARE_MIN = 0.3
+"""Minimum share of a scan's points on such surfaces. Plates, and bars that touch in the image, have up to 0.27 with the
+report's sensor, 0.01 with ``starling2``."""
 BESIDE_M, ASIDE_M, TURN_RAD = 2.0, 0.04, 0.03
 """Points this near to one on a surface are on it too if they are this near to its plane, whose normal may be wrong by
 an angle: seen between two bars, or from far away, a surface has no width."""
