@@ -63,7 +63,7 @@ def test_a_subclass_may_choose_among_the_points():
 
 
 @pytest.mark.parametrize("seed", [11, 13])
-def test_ground_in_view_costs_no_accuracy(seed):
+def test_ground_in_view_costs_little_accuracy(seed):
     settings = ExperimentSettings.preset("zigzag", "random-walk", "best", "starling2", seed, 5.0, tower="slender")
     tower = build_tower(settings.tower)
     trajectory, _ = fly(tower, settings.flight, seed)
