@@ -31,6 +31,7 @@ BASIN = "trajectory", "noise", "sensor", "correspondence_m", *WORLD
 """The parameters that `world_cases` and `basin_cases` have arguments for."""
 PRESET_ARGUMENTS = "trajectory", "noise", "method", "sensor", "seed", "duration_s", "overrides", "tower"
 DRIFT_MIN_S = 60.0
+"""Step of notebook 01's table of drifts."""
 SIDE_MAX = 100
 """Largest number of steps from the middle of a basin to its edge: 40,000 starts, of half a millisecond."""
 Values = Mapping[str, Any]

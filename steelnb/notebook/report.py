@@ -21,6 +21,7 @@ from steelnb.simulation.noise import drift_size
 REPORT_FIGURE = {"vertical": "3_2", "orbit": "3_3", "random-walk": "3_5", "constant-drift": "3_6"}
 """The report's figure, as in file names: by flight for segment odometry, by noise for point-cloud odometry."""
 FLOOR_M = 0.005
+"""Where the axes of the report's errors begin (`error_floor_m`)."""
 REPORT_CURVES = Path("notebooks", "report-curves.csv")
 """The curves of the report's plots, read off its PDF. The path is relative to the root of the project."""
 

@@ -8,6 +8,7 @@ import numpy as np
 from steelnb.core.arguments import checks_arguments
 from steelnb.core.geometry import transform_points
 from steelnb.core.types import Array, Imu, IntArray, Scan
+from steelnb.fusion.point_to_bar import world_points
 from steelnb.odometry.base import BaseOdometry, Outcome, Stopwatch
 from steelnb.odometry.drift_filter import make_prediction
 from steelnb.odometry.near_side import NearSide
@@ -148,7 +149,9 @@ class CloudOdometry(BaseOdometry):
         near-side shift. ``T_world_drone (4, 4)`` is an estimate, to cut off the floor."""
         s, mount, on_surface = self.settings.preprocess, self.T_drone_sensor, np.zeros(0, dtype=bool)
         if self.style.near_side:
-            on_surface = pixels_on_surfaces(scan.points, T_world_drone @ mount, s.crop_m, s.floor_m)
+            flat = np.ascontiguousarray(scan.points).reshape(-1, 3)
+            used = world_points(flat, T_world_drone @ mount, s.crop_m, s.floor_m)[2]
+            on_surface = pixels_on_surfaces(scan.points, used)
         if self.sigma_filter_px:
             scan = Scan(scan.stamp_s, smooth_ranges(scan.points, self.sigma_filter_px), scan.fault)
         self._surfaces = np.zeros((2, 0, 3))

@@ -1,16 +1,15 @@
 """Surfaces in a scan that are too wide for bars: ground, walls and decks.
 
-No axis lies behind them, so the near-side bias is none of theirs. And the map's points on them lie where the sensor has
-sampled them, so that pairs determine the pose along the normal only. Within the surface they hold it where it is
-predicted: with ground in view, odometry by clouds lost its accuracy along both other axes.
+No axis lies behind them, so they have no near-side bias. And the map's points on them lie where the sensor has sampled
+them, so a pair determines the pose only along the normal. Along the surface it would keep the scan where it was
+predicted.
 """
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from steelnb.core.types import Array
-from steelnb.fusion.point_to_bar import world_points
+from steelnb.core.types import Array, IntArray
 from steelnb.odometry.near_side import WIDTH_MAX_M, strip_widths
 from steelnb.points.covariances import UPPER, neighbour_covariances, normals
 
@@ -19,22 +18,21 @@ SHARE_MIN = 0.3
 report's sensor, 0.01 with ``starling2``."""
 BESIDE_M, ASIDE_M, TURN_RAD = 2.0, 0.04, 0.03
 """Points this near to one on a surface are on it too if they are this near to its plane, whose normal may be wrong by
-an angle: seen between two bars, or from far away, a surface has no width."""
+an angle: between two bars, or far away, the width of a surface is not seen."""
 PLANE_M2 = 1.0
 """Variance within a surface, as in GICP's plane-to-plane model."""
 
 
-def pixels_on_surfaces(points: Array, T_world_sensor: Array, range_max_m: float, floor_m: float) -> NDArray[np.bool_]:
+def pixels_on_surfaces(points: Array, used: IntArray) -> NDArray[np.bool_]:
     """Mask of the pixels of an organised scan ``(H, W, 3)``, sensor frame, on surfaces wider than `WIDTH_MAX_M`.
 
-    It is false everywhere if they are fewer than `SHARE_MIN` of the points within range and above the floor, and for a
-    cloud without order ``(N, 3)``.
+    ``used (K,)``: index of the points that count, such as those of `world_points`. The mask is false everywhere if
+    fewer than `SHARE_MIN` of them lie on such surfaces, and for a cloud without order ``(N, 3)``.
     """
     none = np.zeros(points.shape[:-1], dtype=bool)
     if points.ndim < 3 or min(none.shape) < 3:
         return none
     wide = strip_widths(np.ascontiguousarray(points, dtype=np.float64)) >= WIDTH_MAX_M
-    used = world_points(np.ascontiguousarray(points).reshape(-1, 3), T_world_sensor, range_max_m, floor_m)[2]
     return wide if len(used) and wide.ravel()[used].mean() >= SHARE_MIN else none
 
 

@@ -47,8 +47,7 @@ def surfaces_of(voxels: VoxelMap, ridge: Array, cell_m: float) -> Surfaces:
         return wide.is_level | (rows >= ROWS_MIN)
 
     def is_ground_in_rings(wide: Surfaces) -> NDArray[np.bool_]:
-        is_lowest = wide.is_level & (_share_below(wide, thin) <= BELOW_MAX)
-        return _lines_off(wide, is_lowest, found, thin, LINE_CELLS * cell_m, share_of_lattice) <= RINGS_MAX
+        return _lines_off(wide, _is_ground(wide, thin), found, thin, LINE_CELLS * cell_m, share_of_lattice) <= RINGS_MAX
 
     near_m = NEAR * cell_m
     for wider in COARSER:
@@ -60,8 +59,7 @@ def surfaces_of(voxels: VoxelMap, ridge: Array, cell_m: float) -> Surfaces:
     # Last, since what is sought in wider cells must be new.
     is_in_rings = found.cell_m > COARSER[-1] * cell_m
     found = replace(found, reach_m=np.where(is_in_rings, CONTINUED, 1.0) * found.reach_m)
-    is_ground = found.is_level & (_share_below(found, thin) <= BELOW_MAX)
-    return found.grown(thin, np.where(is_ground, GROUND_STEPS, STEPS))
+    return found.grown(thin, np.where(_is_ground(found, thin), GROUND_STEPS, STEPS))
 
 
 def _lines_off(
@@ -85,10 +83,12 @@ def _lines_off(
     return found
 
 
-def _share_below(wide: Surfaces, points: Array) -> Array:
-    """Share of the ``points (N, 3)`` that lie below each surface, by more than twice its band ``(S,)``."""
-    below = np.empty(len(wide))
-    for k, cells in enumerate(wide.cells):
+def _is_ground(surfaces: Surfaces, points: Array) -> NDArray[np.bool_]:
+    """Whether each surface is level and the lowest ``(S,)``: at most `BELOW_MAX` of the ``points (N, 3)`` lie below it,
+    by more than twice its band."""
+    is_ground, cells_of = surfaces.is_level, surfaces.cells
+    for k in np.flatnonzero(is_ground).tolist():
+        cells = cells_of[k]
         nearest = cKDTree(cells[:, :2]).query(points[:, :2])[1]
-        below[k] = (points[:, 2] < cells[nearest, 2] - 2 * wide.band_m).mean()
-    return below
+        is_ground[k] = (points[:, 2] < cells[nearest, 2] - 2 * surfaces.band_m).mean() <= BELOW_MAX
+    return is_ground

@@ -3,6 +3,7 @@ import pytest
 
 from steelnb.core.types import Flight, Scan
 from steelnb.experiment import estimate, redrift
+from steelnb.fusion.point_to_bar import world_points
 from steelnb.odometry.clouds import CloudOdometry
 from steelnb.odometry.wide_surfaces import ASIDE_M, parted, pixels_on_surfaces, within_plane
 from steelnb.settings import ExperimentSettings, OdometrySettings
@@ -17,20 +18,26 @@ def over(distance_m, columns, rows=240):
     return np.where(np.isfinite(bar), bar, wall), np.isfinite(bar[..., 0]), np.isfinite(wall[..., 0])
 
 
+def used(scan, range_max_m=6.0, floor_m=-10.0):
+    """Index of the points within range and above the floor, of a sensor at the origin."""
+    return world_points(np.ascontiguousarray(scan).reshape(-1, 3), np.eye(4), range_max_m, floor_m)[2]
+
+
 def test_walls_are_told_from_bars_and_a_cloud_without_order_has_none():
     scan, bar, wall = over(4.0, 240)
-    found = pixels_on_surfaces(scan, np.eye(4), 6.0, -10.0)
+    found = pixels_on_surfaces(scan, used(scan))
     assert not found[bar].any()
     assert found[wall & ~bar].mean() > 0.95
-    assert not pixels_on_surfaces(scan.reshape(-1, 3), np.eye(4), 6.0, -10.0).any()
-    assert not pixels_on_surfaces(scan[:2], np.eye(4), 6.0, -10.0).any()
+    assert not pixels_on_surfaces(scan.reshape(-1, 3), used(scan)).any()
+    assert not pixels_on_surfaces(scan[:2], used(scan[:2])).any()
 
 
 def test_what_is_out_of_range_or_below_the_floor_does_not_count():
     scan, *_ = over(4.0, 240)
-    assert not pixels_on_surfaces(scan, np.eye(4), 3.9, -10.0).any()  # only the strip is in range
-    assert not pixels_on_surfaces(scan, np.eye(4), 6.0, 10.0).any()
-    assert not pixels_on_surfaces(over(4.0, 0)[0], np.eye(4), 6.0, -10.0).any()
+    assert not pixels_on_surfaces(scan, used(scan, range_max_m=3.9)).any()  # only the strip is in range
+    assert not pixels_on_surfaces(scan, used(scan, floor_m=10.0)).any()
+    strip_alone = over(4.0, 0)[0]
+    assert not pixels_on_surfaces(strip_alone, used(strip_alone)).any()
 
 
 def test_points_beside_a_surface_join_it_with_its_normal():

@@ -145,5 +145,5 @@ def points_in_range(scan: Scan, T_world_sensor: Array, range_max_m: float, floor
     that are too wide for bars, picked evenly."""
     flat = np.ascontiguousarray(scan.points).reshape(-1, 3)
     world, _, index = world_points(flat, T_world_sensor, range_max_m, floor_m)
-    world = world[~pixels_on_surfaces(scan.points, T_world_sensor, range_max_m, floor_m).ravel()[index]]
+    world = world[~pixels_on_surfaces(scan.points, index).ravel()[index]]
     return np.asarray((world[:: max(1, len(world) // count)] - T_world_sensor[:3, 3]) @ T_world_sensor[:3, :3])
