@@ -211,8 +211,10 @@ def segment(
         from steelnb.recording.segment_cloud import segment_file
 
         check_folder(target := output or Path(f"{cloud.stem}_segments"), force)
-        on_stage(f"finding bars in {cloud.name}")
-        result = segment_file(cloud, target, voxel_m=voxel, dx_m=dx, min_votes=min_votes, scene=scene)
+        on_stage(f"reading {cloud.name}")
+        result = segment_file(
+            cloud, target, voxel_m=voxel, dx_m=dx, min_votes=min_votes, scene=scene, on_stage=on_stage
+        )
     say("\n".join(result.summary))
     warn(*result.warnings)
 

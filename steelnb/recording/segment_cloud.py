@@ -1,6 +1,7 @@
 """`steelnb segment CLOUD`: point cloud of a structure → its bars, as a table, a picture and a summary."""
 
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -10,8 +11,9 @@ from steelnb.core.errors import InputError
 from steelnb.core.files import display_name, new_folder
 from steelnb.core.types import Array, Segments
 from steelnb.fusion.candidates import LENGTH_MIN_M
+from steelnb.fusion.cloud_bars import CloudBars
 from steelnb.fusion.ridges import TUBE_M
-from steelnb.fusion.whole_cloud import CloudBars, bars_of_cloud, default_tube
+from steelnb.fusion.whole_cloud import bars_of_cloud, default_tube
 from steelnb.hough.lines import spacing
 from steelnb.hough.whole_structure.search import MIN_VOTES, within
 from steelnb.io.clouds import Cloud, read_cloud
@@ -61,6 +63,7 @@ def segment_file(
     dx_m: float | None = None,
     min_votes: int | None = None,
     scene: bool = False,
+    on_stage: Callable[[str], None] | None = None,
 ) -> SegmentReport:
     """Find the bars in the cloud of a file and write ``segments.csv`` and ``segments.png`` to the folder ``output``;
     with ``scene``, also the interactive ``segments.html``.
@@ -68,7 +71,7 @@ def segment_file(
     Ground, walls and other surfaces are recognised and left out (`steelnb.fusion.whole_cloud`). ``dx_m`` is the radius
     of the tube that holds a bar's points (default: `bars_of_cloud`), ``voxel_m`` the edge of the voxel filter (default:
     two thirds of dx). ``min_votes`` is the minimum number of voxels of a bar, and the minimum by which those in its
-    tube exceed those around it.
+    tube exceed those around it. ``on_stage`` is told what goes on.
 
     Raises the errors of `read_cloud`, `InputError` and `OutputError`; nothing is written then.
     """
@@ -84,7 +87,7 @@ def segment_file(
         if voxel_m is not None and voxel_m < least_m:
             raise InputError(f"voxel_m = {voxel_m}: expected at least {least_m:.2g} m, a twelfth of the tube (--dx)")
         apart_m = spacing(cloud.points)
-        found = bars_of_cloud(cloud.points, dx_m, voxel_m, min_votes)
+        found = bars_of_cloud(cloud.points, dx_m, voxel_m, min_votes, on_stage)
         found = found.take(np.argsort(-found.bars.length, kind="stable"))
         bars, off, dx = found.bars, found.surface < 0, found.tube_m
         explained = float(within(cloud.points[off], bars, dx).mean()) if off.any() else 0.0
@@ -106,6 +109,7 @@ def segment_file(
         *_surface_lines(sorted(found.surfaces, key=lambda surface: -surface.area_m2)),
         f"found     {len(bars)} bars, {bars.length.sum():.1f} m in all, the longest "
         f"{bars.length.max(initial=0):.1f} m, in {time.perf_counter() - began:.1f} s",
+        *_apart_line(found.apart),
         f"points    {100 * bar_share:.0f} % on bars, {100 * on_surfaces:.0f} % on surfaces, "
         f"{100 * (1 - bar_share - on_surfaces):.0f} % on neither",
         f"written   {output}/: segments.csv, segments.png" + (", segments.html" if scene else ""),
@@ -121,6 +125,10 @@ def segment_file(
         summary,
         (*_stray_warning(cloud), *_warnings(found, explained, cloud.points, min_votes)),
     )
+
+
+def _apart_line(count: int) -> list[str]:
+    return [f"left out  {count} lines: as in trees and vehicles, bars explain little there"] if count else []
 
 
 def _surface_lines(surfaces: list[Surface]) -> list[str]:
@@ -149,6 +157,8 @@ def _warnings(found: CloudBars, explained: float, points: Array, min_votes: int)
         why = "the points on no surface do not lie along lines"
         if found.all_on_surfaces:
             why = "all points lie on surfaces"
+        elif found.apart:
+            why = f"bars explain little of what has the {found.apart} lines found, as of trees and vehicles"
         elif left < VOXELS_FEW * min_votes:
             why = f"voxels of {found.voxel_m:.3g} m leave {left} of {len(points)} points, and a bar needs {min_votes}"
         elif not np.isnan(found.typical_m):
