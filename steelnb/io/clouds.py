@@ -101,13 +101,13 @@ def read_points(path: Path | str) -> Array:
     read = READERS.get(path.suffix.lower())
     if os.path.isdir(path):
         raise InputError(f"{path}: a folder; expected a file of points (`steelnb run` takes a folder of scans)")
-    if read is None:
-        raise InputError(f"{path}: ending {path.suffix!r}; expected one of {', '.join(READERS)}")
-    with reading(path, f"a {path.suffix[1:].upper()} file of points"), warnings.catch_warnings():
+    with reading(path, f"a {path.suffix[1:].upper() or 'readable'} file of points"), warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of NumPy, about files of Python 2
         with path.open("rb") as file:
             if what := foreign(file.read(32)):
                 raise ValueError(what)
+        if read is None:
+            raise InputError(f"{path}: ending {path.suffix!r}; expected one of {', '.join(READERS)}")
         points = np.array(read(path), dtype=np.float64)
         if not points.size:
             raise ValueError("no points")

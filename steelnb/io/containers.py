@@ -95,7 +95,7 @@ class Container:
             if self.path.suffix.lower() == ZSTD:
                 raise InputError(f"{self.path}: is compressed; expected it unpacked (`unzstd {self.path.name}`)")
             return [self.path]
-        metadata, here = self.path / "metadata.yaml", sorted(self.path.glob("[!.]*"))
+        metadata, here = self.path / "metadata.yaml", sorted(filter(os.path.isfile, self.path.glob("[!.]*")))
         listed = re.findall(r"^\s*- +['\"]?([^'\"\n]+\.(?:db3|mcap)(?:\.zstd)?)['\"]?\s*$", _text_of(metadata), re.M)
         names = {PurePath(name.strip()).name for name in listed}
         missing = sorted(names - {file.name for file in here})

@@ -7,9 +7,19 @@ from typing import NamedTuple
 from steelnb.core.errors import InputError
 from steelnb.io import messages as ros
 from steelnb.io.containers import Container
+from steelnb.io.encodings import REPLAYED
 from steelnb.io.layouts import DEPTHS
 
 SCANS = "clouds (PointCloud2 or depth images)"
+PACKED = {
+    ".*/CompressedImage": "a compressed depth image; expected a raw one, which `ros2 run image_transport republish "
+    "compressedDepth raw` makes (ROS 1: rosrun)",
+    ".*Packet.*|.*(?:Velodyne|Pandar|[rR]slidar)Scan|.*UdpFrame": f"packets of a LiDAR, not points; {REPLAYED}",
+    ".*/CustomMsg": "a Livox's own message; expected PointCloud2, which its driver publishes with xfer_format 0",
+    ".*LaserScan": "a scan of one plane; expected clouds (PointCloud2) of a sensor that measures in three dimensions",
+    "sensor_msgs/msg/PointCloud": "an old PointCloud; expected PointCloud2 (ROS 1: point_cloud_converter)",
+}
+"""Messages of scans that are not read, by patterns of their types: what they are, and the remedy."""
 POSES_MIN = 3
 """A topic with fewer poses may be a goal or a start."""
 
@@ -29,14 +39,15 @@ class PoseSource(NamedTuple):
 
 def scan_topic(bag: Container, name: str | None) -> str:
     """The topic of the scans. Raises `InputError`."""
-    clouds, packed = bag.of_type(ros.CLOUD), [t for t in bag.of_type(ros.COMPRESSED_IMAGE) if "depth" in t.lower()]
+    clouds, packed = bag.of_type(ros.CLOUD), dict[str, str]()
+    for pattern, words in PACKED.items():
+        found = [topic for topic, kind in bag.types.items() if re.fullmatch(pattern, kind)]
+        packed |= {t: words for t in found if bag.types[t] != ros.COMPRESSED_IMAGE or "depth" in t.lower()}
     images, faults = depth_images(bag, name) if name or not clouds else ([], [])
     candidates = [*clouds, *images] if name else clouds or images
     if name in packed or (packed and not candidates):
-        raise InputError(
-            f"{bag.path}: {name or packed[0]} is a compressed depth image; expected a raw one, which "
-            "`ros2 run image_transport republish compressedDepth raw` makes (ROS 1: rosrun)"
-        )
+        topic = name if name in packed else next(iter(packed))
+        raise InputError(f"{bag.path}: {topic} is {packed[topic]}")
     if faults and not candidates:
         raise faults[0]
     return bag.choose(SCANS, name, candidates)
