@@ -2,9 +2,10 @@
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from steelnb.core.errors import InputError
-from steelnb.core.types import GRAVITY
+from steelnb.core.types import GRAVITY, Trajectory
 from steelnb.io import read_flight, write_tum
 from steelnb.io.frames import T_OPTICAL_SENSOR
 from steelnb.io.messages import CLOUD, ODOMETRY, PATH, POSE_COVARIANCE, POSE_STAMPED, TRANSFORM
@@ -192,7 +193,7 @@ def test_scans_with_repeated_or_decreasing_stamps_are_dropped(tmp_path):
     bag = Bagged(tmp_path / "a.bag").clouds(stamps=[0.0, 0.2, 0.2, 0.1, 0.4, 0.8]).odometry()
     flight = read_flight(bag.write(in_order=False))
     np.testing.assert_array_equal(flight.prior.stamp_s, [0.0, 0.2, 0.4, 0.8])
-    assert flight.skipped == {"scan whose stamp does not rise": 2}
+    assert flight.skipped == {"scan whose stamp does not rise": 1, "scan message that repeats another one": 1}
 
 
 def test_invalid_scans_have_a_fault_and_keep_their_place(tmp_path):
@@ -236,7 +237,11 @@ def test_an_imu_that_does_not_measure_all_gives_way_to_another(tmp_path):
     flight = read_flight(bag.write())
     assert flight.facts["imu"] == "/b"
     assert flight.imu.specific_force.tolist() == [[2.0] * 3]
-    assert "inertial readings of /a, /c are left out" in flight.facts["notes"]
+    assert "inertial readings of /a, /c are left out (--imu TOPIC names an IMU)" in flight.facts["notes"]
+    named = read_flight(bag.path, imu="/c")
+    assert named.imu.specific_force.tolist() == [[3.0] * 3]
+    with pytest.raises(InputError, match=r"no topic '/d'; expected one topic of an IMU, .* /a \(Imu\), /b \(Imu\), /c"):
+        read_flight(bag.path, imu="/d")
 
 
 def test_an_imu_with_optical_axes_is_turned_without_a_transform(tmp_path):
@@ -397,3 +402,31 @@ def test_two_topics_with_a_half_of_an_imu_each_are_left_out(tmp_path):
     flight = read_flight(bag.write())
     assert flight.imu is None
     assert "inertial readings of /accel, /gyro are left out" in flight.facts["notes"]
+
+
+def inertial(path, stamps, force, rate, trajectory):
+    bag = Bagged(path).clouds(stamps=trajectory.stamp_s).odometry(trajectory=trajectory)
+    for stamp_s in stamps.tolist():
+        message = bag.make.imu(ns(stamp_s), np.array([0.0, 0.0, force]), np.array([0.0, 0.0, rate]))
+        bag.rows.append(("/imu", "sensor_msgs/msg/Imu", stamp_s, message))
+    return read_flight(bag.write())
+
+
+@pytest.mark.parametrize("force", [16384.0, 8192.0, 2048.0, 256.0])
+@pytest.mark.parametrize("count", [10, 150])
+def test_raw_counts_of_an_imu_are_left_out(tmp_path, force, count):
+    flight = inertial(tmp_path / "a.mcap", np.arange(count) / 100, force, 0.0, poses(5))
+    assert flight.imu is None
+    assert f"/imu are left out: {force:.5g} at rest, as of raw counts" in flight.facts["notes"]
+
+
+@pytest.mark.parametrize("unit", [1.0, 180 / np.pi])
+@pytest.mark.parametrize("rate", [0.1, -0.3])
+@pytest.mark.parametrize("bias", [0.0, 0.02])
+def test_rates_in_degrees_are_told_by_the_poses(tmp_path, unit, rate, bias):
+    stamp_s = np.round(0.2 * np.arange(40), 9)
+    T = np.tile(np.eye(4), (40, 1, 1))
+    T[:, :3, :3] = Rotation.from_rotvec(np.outer(stamp_s, [0, 0, rate])).as_matrix()
+    flight = inertial(tmp_path / "a.mcap", np.arange(160) / 20, 9.81, unit * (rate + bias), Trajectory(stamp_s, T))
+    np.testing.assert_allclose(flight.imu.angular_rate[:, 2], rate + bias)
+    assert ("in degrees a second, by the poses" in flight.facts.get("notes", "")) == (unit > 1)
