@@ -11,18 +11,19 @@ from typing import NamedTuple
 import numpy as np
 
 from steelnb.core.errors import InputError
+from steelnb.core.files import damaged
 from steelnb.core.types import Array, Imu, IntArray, Trajectory
 from steelnb.io import messages as ros
 from steelnb.io.clocks import taken_together
 from steelnb.io.containers import Container, LostIndexError
 from steelnb.io.frames import Frames, drone_axes, sensor_frames, world_axes
 from steelnb.io.headers import Headers, frame_name
-from steelnb.io.inertial import usable_samples
+from steelnb.io.inertial import readings_of
 from steelnb.io.opened import Opened
 from steelnb.io.paths import whole_path
 from steelnb.io.scanning import Raw
 from steelnb.io.topics import PoseSource, camera_topic, pose_source, scan_topic
-from steelnb.io.trajectories import read_trajectory, trajectory_of
+from steelnb.io.trajectories import check_units, read_trajectory, trajectory_of
 from steelnb.io.transforms import Tree, check_order, is_body_name, is_world_name
 
 LOOKED_AT = 10
@@ -123,6 +124,8 @@ class _Bag:
 
     def _turned(self, poses: Trajectory, world: str, body: str) -> Trajectory:
         """Poses of the drone's axes, z up, from those of a frame in a frame of the world."""
+        with damaged(self.bag.path, "poses of a drone"):
+            check_units(np.column_stack([poses.stamp_s, poses.position]), "s")
         T_up_world = world_axes(world)
         if T_up_world[2, 2] < 0:
             self.headers.notes[f"z points down in {world}: the world is turned about its x axis"] = None
@@ -189,18 +192,14 @@ class _Bag:
     def _imu(self, topic: str, tree: Tree, body: str, poses: Trajectory) -> Imu | None:
         """Inertial samples with increasing stamps, in the axes of the drone if a transform relates them; None if none
         is of use."""
-        rows = self.headers.rows(topic, 6, "inertial sample")
-        rows = usable_samples(rows, topic, poses, self.headers.notes, self.headers.skipped)
-        if not len(rows):
-            return None
-        frame = self.headers.frame_of[topic][0]
+        rows, frame = self.headers.rows(topic, 6, "inertial sample"), self.headers.frame_of[topic][0]
         place = tree.place(body, tree.resolve(frame, body), rows[:1, 0])
-        if place is None:
+        T_drone_imu = drone_axes(frame).T if place is None else drone_axes(body).T @ place.T_target_source[0]
+        found = readings_of(rows, T_drone_imu[:3, :3], topic, poses, self.headers.notes, self.headers.skipped)
+        if found is not None and place is None:
             note = f"no transform from {body} to {frame or 'the IMU'}: its axes are taken from its name"
             self.headers.notes[note] = None
-        T_drone_imu = drone_axes(frame).T if place is None else drone_axes(body).T @ place.T_target_source[0]
-        R_drone_imu = T_drone_imu[:3, :3]
-        return Imu(rows[:, 0], rows[:, 1:4] @ R_drone_imu.T, rows[:, 4:] @ R_drone_imu.T)
+        return found
 
     def _walk(
         self,

@@ -1,7 +1,7 @@
 """Which topics of a bag hold the scans and the poses: those of a suitable type, or those that the user names."""
 
+import os
 import re
-from pathlib import Path
 from typing import NamedTuple
 
 from steelnb.core.errors import InputError
@@ -89,7 +89,7 @@ def pose_source(bag: Container, name: str | None, scans: str) -> PoseSource:
         space = name.rpartition("/")[0]
         return PoseSource(tuple(t for t in bag.of_type(*ros.TF) if t.rpartition("/")[0] == space), uses_tf=True)
     if name and name not in bag.types:
-        if Path(name).is_file():
+        if os.path.isfile(name):  # Path.is_file raises for a name that is too long
             return PoseSource(tf, file=name)
         if pair := re.fullmatch(r"(?:tf )?\s*/?([^>→]+?)\s*(?:-?>|→)\s*/?([^>→]+?)\s*", name):
             return PoseSource(tf, uses_tf=True, pair=(pair[1], pair[2]))
