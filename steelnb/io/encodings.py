@@ -20,6 +20,9 @@ FOREIGN = {
     b"\x89hdf": "HDF5; expected arrays of numpy.save, or another form",
     b"pk\x03\x04": "a zip archive; expected the files in it (unzip)",
     b"bzh": "compressed by bzip2; expected plain data (bunzip2)",
+    b"%pdf": "a document; expected numbers",
+    b"\x89png": "a picture; expected numbers",
+    b"off\n": "OFF; expected PLY or another form of points",
     b"\xfd7zxz": "compressed by xz; expected plain data (unxz)",
 }
 """Beginnings of files that are something else than their name says, in lower case, and what they are."""

@@ -105,7 +105,7 @@ def sensor_frames(
         source = _source(tree, body, main, placed[main], is_world)
         moved = (T_drone_scan != T_mount).any(axis=(1, 2))
         chain += [f"{main}, by the poses"] if is_world else placed[main].frames[1:]
-    if (far_m := float(np.linalg.norm(T_mount[:3, 3]))) > MOUNT_MAX_M and mount is None:
+    if (far_m := float(np.linalg.norm(T_mount[:3, 3]))) > MOUNT_MAX_M:
         notes.append(f"{main} is {far_m:.4g} m from {body}; expected the place of a sensor on a drone, in metres")
     more = [name for name in placed if name != main]
     notes += [f"scans are in frames {', '.join([main, *more])}; all are given in that of {main}"] if more else []

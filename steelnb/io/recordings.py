@@ -156,15 +156,10 @@ def _scan(stamp_s: float, decode: Callable[[], Array]) -> Scan:
         points = decode()
     except InputError as fault:  # a damaged message or file only loses one scan
         return Scan(stamp_s, np.zeros((0, 3)), f"unreadable scan: {fault}")
-    x, y, z = np.moveaxis(points, -1, 0)
-    lost = (x == 0) & (y == 0) & (z == 0)
     if max(np.fmax.reduce(points, axis=None, initial=0), -np.fmin.reduce(points, axis=None, initial=0)) > FAR_M:
-        far = (np.abs(points) > FAR_M).any(axis=-1)
+        far = np.asarray((np.abs(points) > FAR_M).any(axis=-1))
         if far.sum() > np.isfinite(points).all(axis=-1).sum() / 2:
             return Scan(stamp_s, np.zeros((0, 3)), f"unreadable scan: {far.sum()} points beyond {FAR_M:g} m")
-        lost |= far
-    if lost.any():
-        points = np.where(lost[..., None], np.nan, points)
-    if not np.isfinite(points).any():
-        return Scan(stamp_s, np.zeros((0, 3)), "no finite point")
-    return Scan(stamp_s, points)
+        points = np.where(far[..., None], np.nan, points)
+    scan = Scan(stamp_s, points)
+    return scan if np.isfinite(scan.points).any() else Scan(stamp_s, np.zeros((0, 3)), "no finite point")

@@ -28,7 +28,7 @@ UNITS = {
 UNIT_OF = {word: unit for unit, words in UNITS.items() for word in words.split()}
 QUOTED = re.compile('"[^"]*"')
 DECIMAL = re.compile(r"[+-]?\d+(?:[.,]\d+)?(?:[eE][+-]?\d+)?")
-WITH_COMMA, WITH_POINT = (re.compile(rf"[+-]?\d+{sign}\d+(?:[eE][+-]?\d+)?") for sign in (",", r"\."))
+COMMA, POINT = (re.compile(rf"[+-]?\d+{sign}\d+(?:[eE][+-]?\d+)?") for sign in (",", r"\."))
 THOUSANDS = re.compile(r"[+-]?\d{1,3},\d{3}")
 PROSE = {"and", "down", "forward", "is", "left", "of", "right", "the", "to", "up"}
 """Words of sentences on axes. Columns with such names have x, y and z beside each other."""
@@ -196,14 +196,11 @@ def _has_decimal_commas(lines: list[str], separator: str) -> bool:
     pattern = r'"[+-]?\d+,\d+' if separator == "," else r"\d,\d"
     if not any(re.search(pattern, line) for line in lines):
         return False
-    rows = [split_cells(line, separator) for line in lines]
-    cells = [cell for row in rows for cell in row]
-    numbers = [cell for cell in cells if WITH_COMMA.fullmatch(cell)]
-    if separator == " " and len(numbers) < sum("," in cell for cell in cells):
-        return False
-    with_point = [any(map(WITH_POINT.fullmatch, column)) for column in zip(*rows, strict=False)]
-    with_comma = [any(map(WITH_COMMA.fullmatch, column)) for column in zip(*rows, strict=False)]
-    if any(map(all, zip(with_point, with_comma, strict=True))):
+    columns = [*zip(*(split_cells(line, separator) for line in lines), strict=False)]
+    with_comma, with_point = ([any(map(form.fullmatch, column)) for column in columns] for form in (COMMA, POINT))
+    commas = [cell for column in columns for cell in column if "," in cell]
+    numbers = [cell for cell in commas if COMMA.fullmatch(cell)]
+    if any(map(all, zip(with_comma, with_point, strict=True))) or (separator == " " and len(numbers) < len(commas)):
         return False
     return bool(numbers) and not (any(with_point) and all(map(THOUSANDS.fullmatch, numbers)))
 
@@ -242,5 +239,6 @@ def _separator(line: str) -> str:
     """Separator of a line of numbers."""
     line = QUOTED.sub("0", line)
     words = line.split()
-    has_decimals = len(words) > 2 and all(map(DECIMAL.fullmatch, words))
+    numbers = [word for word in words if DECIMAL.fullmatch(word)]
+    has_decimals = len(numbers) > 2 and not any("," in word for word in words if word not in numbers)
     return ";" if ";" in line else "," if "," in line and not has_decimals else " "

@@ -121,6 +121,8 @@ def test_pipes_in_a_folder_are_no_parts_of_a_recording(tmp_path):
         ("a.pcapng", b"\n\r\r\n\1", "packets of a network"),
         ("a.zip", b"PK\3\4", "a zip archive"),
         ("a.ulg", b"ULog\1\x12\x35", "a log of PX4"),
+        ("a.txt", b"%PDF-1.4\n1 0 0\n2 3 4\n", "a document"),
+        ("a.xyz", b"OFF\n2 0 0\n1 2 3\n4 5 6\n", "OFF; expected PLY"),
     ],
 )
 def test_files_of_other_programs_are_named(tmp_path, name, begin, what):

@@ -247,6 +247,11 @@ def test_commas_after_times_separate_unless_they_are_quoted(tmp_path, time):
     np.testing.assert_array_equal(read_trajectory(tmp_path / "a.csv").position, EXPECTED)
 
 
+def test_a_first_line_with_decimal_commas_and_a_label_is_no_title(tmp_path):
+    (tmp_path / "a.txt").write_text("1,5 2.5 3 a\n4 5 6 b\n")
+    np.testing.assert_array_equal(read_points(tmp_path / "a.txt"), [[1.5, 2.5, 3], [4, 5, 6]])
+
+
 def test_commas_of_thousands_are_refused(tmp_path):
     (tmp_path / "a.tum").write_text(f"12,500;{ROW}\n13,500;{ROW}\n".replace(" ", ";"))
     with pytest.raises(InputError, match="line 1: '12,500'; expected a number"):
