@@ -12,7 +12,7 @@ FAR_S, FAR_MADS = 5.0, 10.0
 """A stamp is wrong if it differs from the time of recording by this much more, or less, than usual: seconds, and median
 absolute deviations, which allow for a simulated clock of another speed."""
 
-PARTS_SHARE = 0.75
+PARTS_SHARE = 0.9
 """Parts of a scan are recorded within this share of the usual interval of scans."""
 
 

@@ -141,7 +141,8 @@ class Container:
     def messages(self, *topics: str) -> Iterator[Raw]:
         """Messages of some topics in the order in which they were recorded; those of one part as in its file."""
         streams = [part.messages({*topics}) for part in self.parts]
-        yield from streams[0] if len(streams) == 1 else heapq.merge(*streams, key=lambda raw: raw.log_ns)
+        merged = streams[0] if len(streams) == 1 else heapq.merge(*streams, key=lambda raw: raw.log_ns)
+        yield from (raw for raw in merged if raw.kind == self.types[raw.topic])
 
     def decode(self, raw: Raw) -> Any:
         """A message as an object of rosbags. Raises `InputError` if it is damaged."""
@@ -226,7 +227,8 @@ class Part:
 
     def _add(self, topic: str, kind: str, encoding: str, count: int) -> None:
         if count and _is_known(encoding):
-            self.types[topic] = ros_type(kind)
+            if self.types.setdefault(topic, ros_type(kind)) != ros_type(kind):
+                self._note(f"has {topic} also as {kind.rpartition('/')[2]}, which is left out")
             self.counts[topic] += count
         elif count:
             self.unread.add(encoding)

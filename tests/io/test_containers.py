@@ -216,3 +216,11 @@ def test_types_may_be_named_as_in_ros_1(tmp_path):
 def test_messages_of_other_scans_are_named(tmp_path, kind, what, scans):
     with pytest.raises(InputError, match=f"/points is {what}"):
         read_flight(mcap(tmp_path / "a.mcap", cloud=kind), scans=scans)
+
+
+@pytest.mark.parametrize("kind", KINDS[:2])
+def test_of_a_topic_with_two_types_one_is_read(tmp_path, kind):
+    bag = Bagged(tmp_path / kind).clouds().odometry()
+    flight = read_flight(bag.images("/points", np.ones((2, 3), "<f4"), "32FC1").write())
+    assert_whole(flight)
+    assert f"{kind} has /points also as Image, which is left out" in flight.facts["notes"]
