@@ -96,7 +96,8 @@ class Container:
                 raise InputError(f"{self.path}: is compressed; expected it unpacked (`unzstd {self.path.name}`)")
             return [self.path]
         metadata, here = self.path / "metadata.yaml", sorted(filter(os.path.isfile, self.path.glob("[!.]*")))
-        listed = re.findall(r"^\s*- +['\"]?([^'\"\n]+\.(?:db3|mcap)(?:\.zstd)?)['\"]?\s*$", _text_of(metadata), re.M)
+        text = metadata.read_text(encoding="utf-8", errors="replace") if metadata.is_file() else ""
+        listed = re.findall(r"^\s*- +['\"]?([^'\"\n]+\.(?:db3|mcap)(?:\.zstd)?)['\"]?\s*$", text, re.M)
         names = {PurePath(name.strip()).name for name in listed}
         missing = sorted(names - {file.name for file in here})
         if missing:
@@ -244,7 +245,3 @@ def _encoding(connection: Any) -> str:
 
 def _is_known(encoding: str) -> bool:
     return encoding in ("cdr", "ros1")
-
-
-def _text_of(file: Path) -> str:
-    return file.read_text(encoding="utf-8", errors="replace") if file.is_file() else ""

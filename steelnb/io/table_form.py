@@ -77,7 +77,8 @@ def read_table(path: Path) -> Table:
     if "\t" in bodies[0] and any("\t" in text for _, text in heads):
         separator = "\t"  # the words of a name, and missing numbers, are kept together
     if _has_decimal_commas(bodies, separator):
-        data = re.sub(rb'"[^"\n]*"', _with_points, data) if separator == "," else _with_points(data)
+        quoted = rb'"[^"\n]*"' if separator == "," else rb"(?s).+"
+        data = re.sub(quoted, lambda each: each[0].replace(b",", b"."), data)
     cells = split_cells(bodies[0], separator)
     if len(cells) > COLUMNS_MAX:
         raise ValueError(f"line {content[0] + 1} has {len(cells)} numbers; expected those of one point or pose a line")
@@ -203,11 +204,6 @@ def _has_decimal_commas(lines: list[str], separator: str) -> bool:
     if any(map(all, zip(with_comma, with_point, strict=True))) or (separator == " " and len(numbers) < len(commas)):
         return False
     return bool(numbers) and not (any(with_point) and all(map(THOUSANDS.fullmatch, numbers)))
-
-
-def _with_points(text: bytes | re.Match[bytes]) -> bytes:
-    """The same text with points for commas."""
-    return (text if isinstance(text, bytes) else text[0]).replace(b",", b".")
 
 
 def _words(comment: str, count: int) -> list[str]:

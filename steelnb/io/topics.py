@@ -108,7 +108,9 @@ def camera_topic(bag: Container, images: str, frame_of: dict[str, str]) -> str:
     another camera by its name and by its frame.
     """
     cameras, folder = [name for name in frame_of if name != images], images.rpartition("/")[0]
-    near = [[name for name in cameras if name.rpartition("/")[0] == each] for each in (folder, _parent(folder))]
+    near = [
+        [name for name in cameras if name.rpartition("/")[0] == each] for each in (folder, folder.rpartition("/")[0])
+    ]
     found = near[0] or near[1] or cameras
     found = [name for name in found if frame_of[name] == frame_of[images]] or found if len(found) > 1 else found
     topic = bag.choose(f"CameraInfo of {images}", None, found)
@@ -118,10 +120,6 @@ def camera_topic(bag: Container, images: str, frame_of: dict[str, str]) -> str:
             f" {frame_of[topic]!r}; expected that of its own camera"
         )
     return topic
-
-
-def _parent(topic: str) -> str:
-    return topic.rpartition("/")[0]
 
 
 def _tf_topics(bag: Container, scans: str) -> tuple[str, ...]:
