@@ -1,5 +1,6 @@
 """The command line: thin commands, and one line per error. Heavy imports wait until a command runs."""
 
+import functools
 import signal
 import sys
 import tomllib
@@ -26,8 +27,8 @@ METHODS, TRAJECTORIES = (
 )
 """The same names as in `steelnb.settings`, which takes too long to import for a help text."""
 
-MORE = "More"
-"""Panel of the options that few users need."""
+more = functools.partial(typer.Option, rich_help_panel="More")
+"""An option that few users need."""
 NO_VALUE = " "
 """Metavar of flags, for which Typer would show <bool>."""
 app = typer.Typer(rich_markup_mode="rich", pretty_exceptions_enable=False, epilog=EXIT_CODES)
@@ -99,25 +100,18 @@ def run(
     ] = False,
     changed: Set = None,
     force: Force = False,
-    scans: Annotated[str | None, typer.Option(help="Topic or sub-folder of the scans.", rich_help_panel=MORE)] = None,
-    poses: Annotated[
-        str | None,
-        typer.Option(help="Topic or trajectory file of the poses, or frames: 'odom>base_link'.", rich_help_panel=MORE),
-    ] = None,
+    scans: Annotated[str | None, more(help="Topic or sub-folder of the scans.")] = None,
+    poses: Annotated[str | None, more(help="Topic or trajectory file of poses, or frames: 'odom>base_link'.")] = None,
+    imu: Annotated[str | None, more(help="Topic of the IMU. Default: the first that measures all.")] = None,
     mount: Annotated[
         str | None,
-        typer.Option(
+        more(
             metavar="X,Y,Z,ROLL,PITCH,YAW",
             help="Pose of the sensor on the drone, in metres and degrees. Default: from tf, else zero.",
-            rich_help_panel=MORE,
         ),
     ] = None,
-    clock: Annotated[
-        str, typer.Option(help="stamps of the messages, or bag: times of recording.", rich_help_panel=MORE)
-    ] = "stamps",
-    time_offset: Annotated[
-        float, typer.Option(metavar="SECONDS", help="Added to the stamps of the scans.", rich_help_panel=MORE)
-    ] = 0.0,
+    clock: Annotated[str, more(help="stamps of the messages, or bag: times of recording.")] = "stamps",
+    time_offset: Annotated[float, more(metavar="SECONDS", help="Added to the stamps of the scans.")] = 0.0,
 ) -> None:
     """Correct the drift of a recorded flight.
 
@@ -140,7 +134,7 @@ def run(
         other = (display_name(estimate), read_trajectory(estimate)) if estimate else None
         on_stage(f"opening {recording.name}")
         clocks: dict[str, Any] = {"clock": clock, "time_offset_s": time_offset}
-        flight = read_flight(recording, scans=scans, poses=poses, T_drone_sensor=parse_mount(mount), **clocks)
+        flight = read_flight(recording, scans=scans, poses=poses, imu=imu, T_drone_sensor=parse_mount(mount), **clocks)
         true, scene = truth_of(flight, recording, truth), Scene.of(flight)
         settings, structure = recording_settings(scene=scene, **options)
         say("\n".join((*opened_lines(flight), settings_line(settings))))

@@ -18,12 +18,19 @@ def reading(path: Path | str, form: str, folder: bool = False) -> Iterator[None]
 
     ``form``: the expected content, such as "a PLY file"; ``folder``: whether a folder is expected.
     """
-    if not os.path.exists(path):
-        raise InputError(f"{path}: does not exist; expected {form}")
+    check_exists(path, form)
     if os.path.isdir(path) != folder:
         raise InputError(f"{path}: a {'file' if folder else 'folder'}; expected {form}")
     with damaged(path, form):
         yield
+
+
+def check_exists(path: Path | str, form: str) -> None:
+    """Raise `InputError` unless this is a file or a folder. Pipes, devices and sockets may never end."""
+    if not os.path.exists(path):  # Path.exists raises for a name that is too long
+        raise InputError(f"{path}: does not exist; expected {form}")
+    if not os.path.isfile(path) and not os.path.isdir(path):
+        raise InputError(f"{path}: a pipe, a device or a socket; expected {form}, in a file")
 
 
 @contextmanager

@@ -11,18 +11,19 @@ from typing import NamedTuple
 import numpy as np
 
 from steelnb.core.errors import InputError
+from steelnb.core.files import damaged
 from steelnb.core.types import Array, Imu, IntArray, Trajectory
 from steelnb.io import messages as ros
 from steelnb.io.clocks import taken_together
 from steelnb.io.containers import Container, LostIndexError
 from steelnb.io.frames import Frames, drone_axes, sensor_frames, world_axes
 from steelnb.io.headers import Headers, frame_name
-from steelnb.io.inertial import usable_samples
+from steelnb.io.inertial import readings_of
 from steelnb.io.opened import Opened
 from steelnb.io.paths import whole_path
 from steelnb.io.scanning import Raw
 from steelnb.io.topics import PoseSource, camera_topic, pose_source, scan_topic
-from steelnb.io.trajectories import read_trajectory, trajectory_of
+from steelnb.io.trajectories import check_units, read_trajectory, trajectory_of
 from steelnb.io.transforms import Tree, check_order, is_body_name, is_world_name
 
 LOOKED_AT = 10
@@ -37,12 +38,14 @@ class Clock(NamedTuple):
     offset_s: float = 0.0
 
 
-def open_bag(path: Path, scans: str | None, poses: str | None, mount: Array | None, clock: Clock) -> Opened:
+def open_bag(
+    path: Path, scans: str | None, poses: str | None, imu: str | None, mount: Array | None, clock: Clock
+) -> Opened:
     """Open a bag. ``mount``: ``T_drone_sensor`` if the user gives one. Raises `InputError`."""
     container = Container(path)
     while True:
         try:
-            return _Bag(container, clock).open(scans, poses, mount)
+            return _Bag(container, clock).open(scans, poses, imu, mount)
         except LostIndexError:  # a file fails in the middle, and is scanned from now on
             continue
 
@@ -53,13 +56,14 @@ class _Bag:
     def __init__(self, container: Container, clock: Clock) -> None:
         self.bag, self.clock, self.headers = container, clock, Headers(container, clock.by_log)
 
-    def open(self, scans: str | None, poses: str | None, mount: Array | None) -> Opened:
-        topic, imus = scan_topic(self.bag, scans), self._imu_topics()
+    def open(self, scans: str | None, poses: str | None, imu: str | None, mount: Array | None) -> Opened:
+        topic, imus = scan_topic(self.bag, scans), self._imu_topics(imu)
         is_depth = self.bag.types[topic] == ros.IMAGE
         source = pose_source(self.bag, poses, topic)
         self.headers.read(topic, *source.topics, *source.tf, *imus, *(self.bag.of_type(ros.CAMERA) if is_depth else ()))
         cameras, tree = self._cameras(topic) if is_depth else [], self.headers.tree()
-        stamp_s = self.headers.scan_stamps(topic) + self.clock.offset_s
+        stamp_s, log_s = self.headers.scan_stamps(topic)
+        stamp_s += self.clock.offset_s
         for frame, text in self.headers.unstamped.items():
             if any(each == frame or tree.between(frame, each) for each in set(self.headers.scan_frames)):
                 raise InputError(f"{self.bag.path}: {text}; expected the time of each (--clock bag: of recording)")
@@ -73,21 +77,20 @@ class _Bag:
         self.headers.skipped["scan without a transform to the drone"] += int(unplaced.sum())
         facts = {"scans": f"{topic} ({self.bag.types[topic].rpartition('/')[2]})", "poses": said}
         facts |= {"mount": frames.source, "frames": frames.chain}
-        imu = self._imu(imus[0], tree, body) if imus and imus[0] in self.headers.frame_of else None
-        facts |= {"imu": imus[0]} if imu is not None else {}
-        groups = taken_together(frames.stamp_s, self.headers.scan_frames)
-        if len(groups) < len(frames.stamp_s):
-            said = (
-                f"{len(frames.stamp_s)} messages of several sensors are {len(groups)} scans: those of one stamp are one"
-            )
-            self.headers.notes[said] = None
+        readings = self._imu(imus[0], tree, body, prior) if imus and imus[0] in self.headers.frame_of else None
+        facts |= {"imu": imus[0]} if readings is not None else {}
+        groups = taken_together(frames.stamp_s, log_s, self.headers.scan_frames, self.headers.repeated)
+        count = sum(map(len, groups))
+        self.headers.skipped["scan message that repeats another one"] += len(stamp_s) - count
+        if len(groups) < count:
+            self.headers.notes[f"{count} messages are {len(groups)} scans: those of one stamp are one"] = None
         for topic_left in source.left_out:
             self.headers.notes[f"poses of {topic_left} are left out: {self.bag.count(topic_left)} of them"] = None
         lost = ["what is whole is read"] if self.bag.notes else []
         notes = [*self.bag.notes, *lost, *self.headers.notes, *frames.notes]
         facts |= {"notes": "; ".join(notes)} if notes else {}
         walk, first = partial(self._walk, topic, cameras, frames, groups), [group[0] for group in groups]
-        return Opened(frames.stamp_s[first], walk, prior, frames.T_drone_sensor, facts, imu, self.headers.skipped)
+        return Opened(frames.stamp_s[first], walk, prior, frames.T_drone_sensor, facts, readings, self.headers.skipped)
 
     def _poses(self, source: PoseSource, tree: Tree, sensor: str) -> tuple[Trajectory, str, str, str]:
         """Poses of the drone, names of the world and of the drone's frame, and the source in words."""
@@ -121,6 +124,8 @@ class _Bag:
 
     def _turned(self, poses: Trajectory, world: str, body: str) -> Trajectory:
         """Poses of the drone's axes, z up, from those of a frame in a frame of the world."""
+        with damaged(self.bag.path, "poses of a drone"):
+            check_units(np.column_stack([poses.stamp_s, poses.position]), "s")
         T_up_world = world_axes(world)
         if T_up_world[2, 2] < 0:
             self.headers.notes[f"z points down in {world}: the world is turned about its x axis"] = None
@@ -158,14 +163,17 @@ class _Bag:
                 self.headers.notes |= dict.fromkeys(filter(None, ros.camera_matrix(camera, *self.headers.shape)[1:]))
         return cameras
 
-    def _imu_topics(self) -> list[str]:
-        """The first topic of an IMU whose readings are all measured, in a list, which is empty if there is none."""
+    def _imu_topics(self, name: str | None) -> list[str]:
+        """The topic of an IMU of this name, else the first whose readings are all measured, in a list, which is empty
+        if there is none."""
+        if name:
+            return [self.bag.choose("an IMU", name, self.bag.of_type(ros.IMU))]
         measured = {topic: self._measured(topic) for topic in self.bag.of_type(ros.IMU)}
         parts = set().union(*(own for own in measured.values() if "both" in own))
         chosen = [topic for topic, own in measured.items() if "both" in own and own == parts][:1]
         left = [topic for topic in measured if topic not in chosen]
         if left:
-            self.headers.notes[f"inertial readings of {', '.join(left)} are left out"] = None
+            self.headers.notes[f"inertial readings of {', '.join(left)} are left out (--imu TOPIC names an IMU)"] = None
         return chosen
 
     def _measured(self, topic: str) -> set[str]:
@@ -181,21 +189,17 @@ class _Bag:
                     found -= {"both"}
         return found
 
-    def _imu(self, topic: str, tree: Tree, body: str) -> Imu | None:
+    def _imu(self, topic: str, tree: Tree, body: str, poses: Trajectory) -> Imu | None:
         """Inertial samples with increasing stamps, in the axes of the drone if a transform relates them; None if none
         is of use."""
-        rows = self.headers.rows(topic, 6, "inertial sample")
-        rows = usable_samples(rows, topic, self.headers.notes, self.headers.skipped)
-        if not len(rows):
-            return None
-        frame = self.headers.frame_of[topic][0]
+        rows, frame = self.headers.rows(topic, 6, "inertial sample"), self.headers.frame_of[topic][0]
         place = tree.place(body, tree.resolve(frame, body), rows[:1, 0])
-        if place is None:
+        T_drone_imu = drone_axes(frame).T if place is None else drone_axes(body).T @ place.T_target_source[0]
+        found = readings_of(rows, T_drone_imu[:3, :3], topic, poses, self.headers.notes, self.headers.skipped)
+        if found is not None and place is None:
             note = f"no transform from {body} to {frame or 'the IMU'}: its axes are taken from its name"
             self.headers.notes[note] = None
-        T_drone_imu = drone_axes(frame).T if place is None else drone_axes(body).T @ place.T_target_source[0]
-        R_drone_imu = T_drone_imu[:3, :3]
-        return Imu(rows[:, 0], rows[:, 1:4] @ R_drone_imu.T, rows[:, 4:] @ R_drone_imu.T)
+        return found
 
     def _walk(
         self,

@@ -1,7 +1,7 @@
 """Stamps that a clock got wrong: found before anything is ordered by them."""
 
 from bisect import bisect_left, bisect_right
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +11,9 @@ from steelnb.core.types import Array, IntArray
 FAR_S, FAR_MADS = 5.0, 10.0
 """A stamp is wrong if it differs from the time of recording by this much more, or less, than usual: seconds, and median
 absolute deviations, which allow for a simulated clock of another speed."""
+
+PARTS_SHARE = 0.9
+"""Parts of a scan are recorded within this share of the usual interval of scans."""
 
 
 def far_stamps(stamp_s: Array, log_s: Array) -> NDArray[np.bool_]:
@@ -51,14 +54,21 @@ def rising_stamps(stamp_s: Array, strictly: bool = True) -> IntArray:
     return known[chosen]
 
 
-def taken_together(stamp_s: Array, frames: Sequence[str]) -> list[list[int]]:
-    """Numbers of the messages of each scan: those of several sensors, by their ``frames (N,)``, that follow each other
-    with one stamp in ``stamp_s (N,)`` are one scan."""
+def taken_together(
+    stamp_s: Array, log_s: Array, frames: Sequence[str], repeated: Collection[int] = ()
+) -> list[list[int]]:
+    """Numbers of the messages of each scan: those that follow each other with one stamp in ``stamp_s (N,)`` are one.
+
+    They are of several sensors, by their ``frames (N,)``, or parts of one scan: these are recorded nearer to each other
+    in ``log_s (N,)`` than scans are, unlike scans by a clock that stands still. Those ``repeated`` are left out.
+    """
+    steps_s = np.diff(stamp_s)
+    near_s = PARTS_SHARE * float(np.median(steps_s[steps_s > 0])) if (steps_s > 0).any() else 0.0
     found: list[list[int]] = []
     for k, (stamp, frame) in enumerate(zip(stamp_s.tolist(), frames, strict=True)):
-        last = found[-1] if found else []
-        if last and stamp == stamp_s[last[0]] and frame not in {frames[each] for each in last}:
-            last.append(k)
+        last = found[-1] if found and stamp == stamp_s[found[-1][0]] else []
+        if last and (frame not in {frames[each] for each in last} or abs(log_s[k] - log_s[last[0]]) <= near_s):
+            last += [k] if k not in repeated else []
         else:
             found.append([k])
     return found

@@ -31,6 +31,8 @@ EXTENT_MAX_M, SPACING_MAX_M = 500.0, 1.0
 """A cloud that exceeds both extent and spacing is probably in millimetres: no scanner is that sparse."""
 LINES_COUNTED, LINES_LOOKED_AT = 10, 100
 """Minimum number of lines by which a first column in equal steps is recognised."""
+COORDINATE_MIN_M = 1e-30
+"""Smaller numbers than this are bytes in another order."""
 CHANNELS_MAX = 16
 """An array (3, N) has more columns than this, an array (N, 3 or more) at most as many."""
 AXIS = ("(?:pos|position|point|coord|coordinate|p|points_m_xyz|cartesian)_?{}", "{}_?(?:coord|coordinate|pos)")
@@ -101,20 +103,21 @@ def read_points(path: Path | str) -> Array:
     read = READERS.get(path.suffix.lower())
     if os.path.isdir(path):
         raise InputError(f"{path}: a folder; expected a file of points (`steelnb run` takes a folder of scans)")
-    if read is None:
-        raise InputError(f"{path}: ending {path.suffix!r}; expected one of {', '.join(READERS)}")
-    with reading(path, f"a {path.suffix[1:].upper()} file of points"), warnings.catch_warnings():
+    with reading(path, f"a {path.suffix[1:].upper() or 'readable'} file of points"), warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of NumPy, about files of Python 2
         with path.open("rb") as file:
             if what := foreign(file.read(32)):
                 raise ValueError(what)
+        if read is None:
+            raise InputError(f"{path}: ending {path.suffix!r}; expected one of {', '.join(READERS)}")
         points = np.array(read(path), dtype=np.float64)
         if not points.size:
             raise ValueError("no points")
         largest = np.maximum.reduce([np.abs(points[..., axis]) for axis in range(3)])
-        beyond = np.isfinite(largest) & (largest > COORDINATE_MAX_M)
+        beyond = np.isfinite(largest) & ((largest > COORDINATE_MAX_M) | ((largest > 0) & (largest < COORDINATE_MIN_M)))
         if beyond.sum() > np.isfinite(largest).sum() / 2:
-            raise ValueError(f"{beyond.sum()} points farther than {COORDINATE_MAX_M:.0e} m, as {points[beyond][0]}")
+            bounds = f"{COORDINATE_MIN_M:.0e} to {COORDINATE_MAX_M:.0e} m"
+            raise ValueError(f"{beyond.sum()} points that are not within {bounds}, as {points[beyond][0]}")
     points[~(largest <= COORDINATE_MAX_M)] = np.nan
     return points
 

@@ -95,8 +95,9 @@ class Container:
             if self.path.suffix.lower() == ZSTD:
                 raise InputError(f"{self.path}: is compressed; expected it unpacked (`unzstd {self.path.name}`)")
             return [self.path]
-        metadata, here = self.path / "metadata.yaml", sorted(self.path.glob("[!.]*"))
-        listed = re.findall(r"^\s*- +['\"]?([^'\"\n]+\.(?:db3|mcap)(?:\.zstd)?)['\"]?\s*$", _text_of(metadata), re.M)
+        metadata, here = self.path / "metadata.yaml", sorted(filter(os.path.isfile, self.path.glob("[!.]*")))
+        text = metadata.read_text(encoding="utf-8", errors="replace") if metadata.is_file() else ""
+        listed = re.findall(r"^\s*- +['\"]?([^'\"\n]+\.(?:db3|mcap)(?:\.zstd)?)['\"]?\s*$", text, re.M)
         names = {PurePath(name.strip()).name for name in listed}
         missing = sorted(names - {file.name for file in here})
         if missing:
@@ -141,7 +142,8 @@ class Container:
     def messages(self, *topics: str) -> Iterator[Raw]:
         """Messages of some topics in the order in which they were recorded; those of one part as in its file."""
         streams = [part.messages({*topics}) for part in self.parts]
-        yield from streams[0] if len(streams) == 1 else heapq.merge(*streams, key=lambda raw: raw.log_ns)
+        merged = streams[0] if len(streams) == 1 else heapq.merge(*streams, key=lambda raw: raw.log_ns)
+        yield from (raw for raw in merged if raw.kind == self.types[raw.topic])
 
     def decode(self, raw: Raw) -> Any:
         """A message as an object of rosbags. Raises `InputError` if it is damaged."""
@@ -226,7 +228,8 @@ class Part:
 
     def _add(self, topic: str, kind: str, encoding: str, count: int) -> None:
         if count and _is_known(encoding):
-            self.types[topic] = ros_type(kind)
+            if self.types.setdefault(topic, ros_type(kind)) != ros_type(kind):
+                self._note(f"has {topic} also as {kind.rpartition('/')[2]}, which is left out")
             self.counts[topic] += count
         elif count:
             self.unread.add(encoding)
@@ -242,7 +245,3 @@ def _encoding(connection: Any) -> str:
 
 def _is_known(encoding: str) -> bool:
     return encoding in ("cdr", "ros1")
-
-
-def _text_of(file: Path) -> str:
-    return file.read_text(encoding="utf-8", errors="replace") if file.is_file() else ""

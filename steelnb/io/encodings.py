@@ -6,19 +6,32 @@ import re
 MARKS = {codecs.BOM_UTF8: "utf-8", codecs.BOM_UTF16_LE: "utf-16-le", codecs.BOM_UTF16_BE: "utf-16-be"}
 WINDOWS_NAN = re.compile(rb"-?1\.#(?:IND|QNAN|SNAN|INF)\d*")
 GZIP = b"\x1f\x8b"
+REPLAYED = "expected clouds (PointCloud2), which the sensor's driver records when it replays them"
 FOREIGN = {
     GZIP: "compressed by gzip; expected plain text, or plain binary data (gunzip)",
     b"version https://git-lfs": "a pointer of git LFS; expected the file itself (git lfs pull)",
     b"<!doctype": "a web page; expected the file itself",
     b"<html": "a web page; expected the file itself",
     b"<?xml": "XML; expected another form",
+    b"astm-e57": "E57; expected PLY or LAS (`pdal translate FILE.e57 FILE.las`, or CloudCompare)",
+    b"\xd4\xc3\xb2\xa1": f"packets of a network (pcap); {REPLAYED}",
+    b"\n\r\r\n": f"packets of a network (pcap); {REPLAYED}",
+    b"ulog\x01\x12\x35": "a log of PX4, without scans; expected a recording of the sensor",
+    b"\x89hdf": "HDF5; expected arrays of numpy.save, or another form",
+    b"pk\x03\x04": "a zip archive; expected the files in it (unzip)",
+    b"bzh": "compressed by bzip2; expected plain data (bunzip2)",
+    b"%pdf": "a document; expected numbers",
+    b"\x89png": "a picture; expected numbers",
+    b"off\n": "OFF; expected PLY or another form of points",
+    b"\xfd7zxz": "compressed by xz; expected plain data (unxz)",
 }
 """Beginnings of files that are something else than their name says, in lower case, and what they are."""
 
 
 def foreign(begin: bytes) -> str:
     """What a file that begins with these bytes is, if that is never a recording or a cloud, else ""."""
-    return next((what for start, what in FOREIGN.items() if begin.lstrip().lower().startswith(start)), "")
+    both = begin.lower(), begin.lstrip().lower()
+    return next((what for start, what in FOREIGN.items() if any(each.startswith(start) for each in both)), "")
 
 
 def plain_nan(data: bytes) -> bytes:

@@ -20,6 +20,8 @@ T_UP_DOWN = np.diag([1.0, -1.0, -1.0, 1.0])
 UPRIGHT, ALIGNED = 0.7, 0.9
 """Minimum cosines between the vertical and the z axis of a frame that stands upright on the drone, and between all axes
 of a frame and those of the drone, if they are meant to be the same."""
+MOUNT_MAX_M = 10.0
+"""Maximum distance of a sensor from the middle of its drone."""
 OPTICAL_ENDS = ("optical", "frame", "link", "center", "centre")
 """Last words of the name of a frame with optical axes; an optical_flow_link or an optical_mount has others."""
 
@@ -103,6 +105,8 @@ def sensor_frames(
         source = _source(tree, body, main, placed[main], is_world)
         moved = (T_drone_scan != T_mount).any(axis=(1, 2))
         chain += [f"{main}, by the poses"] if is_world else placed[main].frames[1:]
+    if (far_m := float(np.linalg.norm(T_mount[:3, 3]))) > MOUNT_MAX_M:
+        notes.append(f"{main} is {far_m:.4g} m from {body}; expected the place of a sensor on a drone, in metres")
     more = [name for name in placed if name != main]
     notes += [f"scans are in frames {', '.join([main, *more])}; all are given in that of {main}"] if more else []
     notes += [f"scans in {', '.join(map(repr, others))} are left out: no transform to {main}"] if others else []

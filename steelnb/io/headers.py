@@ -21,11 +21,12 @@ from steelnb.io.transforms import STILL, Tree
 class Headers:
     """Stamps and frames of the scans, and the values of small messages; ``by_log``: stamps are times of recording.
 
-    ``frame_of``: frame and child frame of each topic; ``scan_frames``: frame of each scan; ``shape``: rows and columns
-    of the first; ``cameras`` of topics, each with the stamp from which it holds; ``longest``: the longest Path, the
-    last of its length; ``earlier_paths``: rows of stamp and pose of some before it that did not grow; ``notes`` on what
-    contradicted itself; ``faults``: of each topic the first message that cannot be decoded; ``skipped``: counts of what
-    is left out; ``unstamped``: frames on moving transforms without stamps, and a text on each.
+    ``frame_of``: frame and child frame of each topic; ``scan_frames``: frame of each scan; ``repeated``: numbers of
+    those with the stamp, frame and data of one before; ``shape``: rows and columns of the first; ``cameras`` of topics,
+    each with the stamp from which it holds; ``longest``: the longest Path, the last of its length; ``earlier_paths``:
+    rows of stamp and pose of some before it that did not grow; ``notes`` on what contradicted itself; ``faults``: of
+    each topic the first message that cannot be decoded; ``skipped``: counts of what is left out; ``unstamped``: frames
+    on moving transforms without stamps, and a text on each.
     """
 
     def __init__(self, bag: Container, by_log: bool) -> None:
@@ -33,6 +34,8 @@ class Headers:
         self._table: dict[Any, array[float]] = defaultdict(lambda: array("d"))
         self.frame_of: dict[str, tuple[str, str]] = {}
         self.scan_frames: list[str] = []
+        self.repeated: set[int] = set()
+        self._of_stamp: list[Any] = []
         self.shape: tuple[int, int] | None = None
         self.cameras: dict[str, list[tuple[float, ros.CameraInfo]]] = defaultdict(list)
         self.longest: Raw | None = None
@@ -77,6 +80,7 @@ class Headers:
             return
         self._table[raw.topic].extend(self.times(raw, message))
         if is_scan:
+            self._compare(message)
             self.scan_frames.append(frame)
             self._look_at(message, raw.kind)
         elif raw.kind == ros.IMU:
@@ -102,6 +106,14 @@ class Headers:
         if self.longest is None or len(raw.data) >= len(self.longest.data):
             self.longest = raw
 
+    def _compare(self, message: Any) -> None:
+        """Find out whether a scan repeats one of the latest before it."""
+        head, before = message.header, [each for each in self._of_stamp if each.header.stamp == message.header.stamp]
+        same = [each for each in before if each.header.frame_id == head.frame_id]
+        if any(np.array_equal(each.data, message.data) for each in same):
+            self.repeated.add(len(self.scan_frames))
+        self._of_stamp = [*before[-3:], message]
+
     def _look_at(self, message: Any, kind: str) -> None:
         """Note what contradicts a scan's message. A fault is that of the scan, when it is read."""
         try:
@@ -120,8 +132,8 @@ class Headers:
         self.skipped[f"{what} whose stamp does not rise"] += int((~far).sum()) - len(rising)
         return np.delete(rows[~far][rising], 1, axis=1)
 
-    def scan_stamps(self, topic: str) -> Array:
-        """Stamps of all scans, NaN where they are wrong."""
+    def scan_stamps(self, topic: str) -> tuple[Array, Array]:
+        """Stamps of all scans, NaN where they are wrong, and times of recording."""
         rows = np.array(self._table[topic]).reshape(-1, 2)
         known = np.flatnonzero(~np.isnan(rows[:, 0]))
         far = known[far_stamps(*rows[known].T)]
@@ -129,7 +141,7 @@ class Headers:
             first = "{:.3f} s, recorded at {:.3f} s".format(*rows[far[0]])
             self.skipped[f"scan whose stamp is far from the time of recording (the first: {first})"] = len(far)
         rows[far, 0] = np.nan
-        return rows[:, 0]
+        return rows[:, 0], rows[:, 1]
 
     def tree(self) -> Tree:
         """Transforms of tf_static and tf."""

@@ -88,7 +88,7 @@ def camera_of(message: Any) -> CameraInfo:
 
 
 def _is_calibrated(K: Array) -> bool:
-    return bool(np.isfinite(K).all() and K[0, 0] > 0 and K[1, 1] > 0)
+    return bool(np.isfinite(K).all() and K[0, 0] > 0 and K[1, 1] > 0 and not np.tril(K, -1).any())
 
 
 def camera_matrix(camera: CameraInfo, height: int, width: int) -> tuple[Array, str]:
@@ -98,7 +98,7 @@ def camera_matrix(camera: CameraInfo, height: int, width: int) -> tuple[Array, s
     """
     K, (x, y, part_width, part_height) = camera.K.copy(), camera.roi
     if not _is_calibrated(K):
-        raise InputError(f"CameraInfo with focal lengths {K[0, 0]:g}, {K[1, 1]:g}; expected a calibrated camera")
+        raise InputError(f"CameraInfo with K {K.ravel().tolist()}; expected that of a calibrated camera")
     whole = camera.width, camera.height
     is_central = 0 <= K[0, 2] <= width and 0 <= K[1, 2] <= height  # all that can be checked without a size
     if whole in ((width, height), (0, 0)) and is_central:

@@ -9,12 +9,13 @@ import numpy as np
 from steelnb.core.arguments import checks_arguments
 from steelnb.core.checks import checked_pose
 from steelnb.core.errors import InputError
-from steelnb.core.files import display_name
+from steelnb.core.files import check_exists, display_name
 from steelnb.core.types import Array, Flight, IntArray, Scan, Trajectory
 from steelnb.io.bags import Clock, open_bag
 from steelnb.io.clocks import rising_stamps
 from steelnb.io.clouds import READERS
 from steelnb.io.containers import bags_in, is_bag
+from steelnb.io.encodings import foreign
 from steelnb.io.folders import TRUE, named_file, open_clouds
 from steelnb.io.opened import Walk
 from steelnb.io.trajectories import interpolate, read_trajectory
@@ -33,6 +34,7 @@ def read_flight(
     *,
     scans: str | None = None,
     poses: str | None = None,
+    imu: str | None = None,
     T_drone_sensor: Array | None = None,
     clock: str = "stamps",
     time_offset_s: float = 0.0,
@@ -46,6 +48,7 @@ def read_flight(
     scans : topic or sub-folder of the scans; by default the only one of a suitable type.
     poses : topic or trajectory file of the drone's drifting poses, or frames of tf such as "odom>base_link"; by default
         the only topic, or tf.
+    imu : topic of the IMU; by default the first that measures all.
     T_drone_sensor : pose ``(4, 4)`` of the sensor; by default that of tf, or the identity if unknown.
     clock : "stamps" of the messages, or those of the "bag", the times at which messages were recorded.
     time_offset_s : added to the stamps of the scans, seconds, if their clock is off that of the poses.
@@ -57,25 +60,26 @@ def read_flight(
     path = Path(path)
     if T_drone_sensor is not None:
         T_drone_sensor = checked_pose(T_drone_sensor, "T_drone_sensor")
-    if not os.path.exists(path):  # Path.exists raises for a name that is too long
-        raise InputError(f"{path}: does not exist; expected a recording")
+    check_exists(path, "a recording")
     if not path.is_dir() and not is_bag(path):
+        with path.open("rb") as file:
+            what = foreign(file.read(32))
         remedy = "; `steelnb segment` takes a single cloud" if path.suffix.lower() in READERS else ""
-        raise InputError(f"{path}: ending {path.suffix!r}; expected .bag, .mcap, .db3 or a folder{remedy}")
+        ending = f"ending {path.suffix!r}; expected .bag, .mcap, .db3 or a folder{remedy}"
+        raise InputError(f"{path}: is {what}" if what else f"{path}: {ending}")
     if clock not in CLOCKS or not np.isfinite(time_offset_s):
         raise InputError(f"clock {clock!r} with {time_offset_s} s; expected {' or '.join(CLOCKS)}, and finite seconds")
     if is_bag(path):
-        opened = open_bag(path, scans, poses, T_drone_sensor, Clock(clock == "bag", time_offset_s))
+        opened = open_bag(path, scans, poses, imu, T_drone_sensor, Clock(clock == "bag", time_offset_s))
     else:
-        if clock == "bag":
-            raise InputError(
-                f"{path}: clock 'bag'; expected a bag, as clouds in files have no other stamps than their own"
-            )
+        if clock == "bag" or imu:
+            what = f"IMU {imu}" if imu else "clock 'bag'"
+            raise InputError(f"{path}: {what}; expected a bag, as clouds in files have only their own stamps")
         if bags := bags_in(path):
             raise InputError(f"{path}: bags in it: {', '.join(bags)}; expected one of them")
         opened = open_clouds(path, scans, poses)
         opened = opened._replace(stamp_s=opened.stamp_s + time_offset_s)
-    stamp_s, walk, prior, mount, facts, imu, skipped = opened
+    stamp_s, walk, prior, mount, facts, readings, skipped = opened
     if T_drone_sensor is not None:
         mount, facts["mount"] = T_drone_sensor, "as given"
     number, usable = rising_stamps(stamp_s), int((~np.isnan(stamp_s)).sum())
@@ -93,7 +97,7 @@ def read_flight(
     skipped_counts = {reason: count for reason, count in skipped.items() if count}
     found = Scans(walk, number, poses_at.stamp_s)
     _check_scans(path, found)
-    return Flight(found, poses_at, mount, imu, display_name(path.resolve()), facts, skipped_counts)
+    return Flight(found, poses_at, mount, readings, display_name(path.resolve()), facts, skipped_counts)
 
 
 def _check_scans(path: Path, scans: "Scans") -> None:
@@ -152,15 +156,10 @@ def _scan(stamp_s: float, decode: Callable[[], Array]) -> Scan:
         points = decode()
     except InputError as fault:  # a damaged message or file only loses one scan
         return Scan(stamp_s, np.zeros((0, 3)), f"unreadable scan: {fault}")
-    x, y, z = np.moveaxis(points, -1, 0)
-    lost = (x == 0) & (y == 0) & (z == 0)
     if max(np.fmax.reduce(points, axis=None, initial=0), -np.fmin.reduce(points, axis=None, initial=0)) > FAR_M:
-        far = (np.abs(points) > FAR_M).any(axis=-1)
+        far = np.asarray((np.abs(points) > FAR_M).any(axis=-1))
         if far.sum() > np.isfinite(points).all(axis=-1).sum() / 2:
             return Scan(stamp_s, np.zeros((0, 3)), f"unreadable scan: {far.sum()} points beyond {FAR_M:g} m")
-        lost |= far
-    if lost.any():
-        points = np.where(lost[..., None], np.nan, points)
-    if not np.isfinite(points).any():
-        return Scan(stamp_s, np.zeros((0, 3)), "no finite point")
-    return Scan(stamp_s, points)
+        points = np.where(far[..., None], np.nan, points)
+    scan = Scan(stamp_s, points)
+    return scan if np.isfinite(scan.points).any() else Scan(stamp_s, np.zeros((0, 3)), "no finite point")

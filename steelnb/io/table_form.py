@@ -13,10 +13,13 @@ HEAD_BYTES, COLUMNS_MAX = 1 << 16, 1000
 COMMENT = re.compile(rb"^[ \t]*(?://|%|#)", re.MULTILINE)
 SEPARATOR_LINE = re.compile(rb"sep=.\r?\n", re.IGNORECASE)
 FORTRAN = re.compile(rb"(?<=[\d.])[dD](?=[+-]?\d)")
-TIME = re.compile(rb"\d{4}-\d\d-\d\d[Tt ]\d\d:\d\d:\d\d(?:\.\d+)?(?:[Zz]| UTC|[+-]\d\d(?::?\d\d)?)?(?![\d:])")
+TIME, TIME_WITH_COMMA = (
+    re.compile(rb"\d{4}-\d\d-\d\d[Tt ]\d\d:\d\d:\d\d(?:%s)?(?:[Zz]| UTC|[+-]\d\d(?::?\d\d)?)?(?![\d:])" % fraction)
+    for fraction in (rb'\.\d+|,\d+(?=Z?")', rb"[.,]\d+")
+)
 LISTS = re.compile(rb"^#[ \t]*((?:\w+, *){3,})\w+\[\].*$", re.MULTILINE)
-"""A first line of spreadsheets, exponents of Fortran, times of ISO 8601, and a comment of COLMAP, whose lines end in
-lists of any length."""
+"""A first line of spreadsheets, exponents of Fortran, times of ISO 8601, also with commas where these do not separate,
+and a comment of COLMAP, whose lines end in lists of any length."""
 UNITS = {
     "m": "m meter meters metre metres", "mm": "mm", "cm": "cm", "km": "km", "ft": "ft feet", "s": "s sec secs seconds",
     "ms": "ms msec msecs millisec milliseconds", "us": "us µs usec usecs microsec microseconds",
@@ -24,7 +27,9 @@ UNITS = {
 }  # fmt: skip
 UNIT_OF = {word: unit for unit, words in UNITS.items() for word in words.split()}
 QUOTED = re.compile('"[^"]*"')
-DECIMAL_COMMA = re.compile(r"[+-]?\d+(?:,\d+)?(?:[eE][+-]?\d+)?")
+DECIMAL = re.compile(r"[+-]?\d+(?:[.,]\d+)?(?:[eE][+-]?\d+)?")
+COMMA, POINT = (re.compile(rf"[+-]?\d+{sign}\d+(?:[eE][+-]?\d+)?") for sign in (",", r"\."))
+THOUSANDS = re.compile(r"[+-]?\d{1,3},\d{3}")
 PROSE = {"and", "down", "forward", "is", "left", "of", "right", "the", "to", "up"}
 """Words of sentences on axes. Columns with such names have x, y and z beside each other."""
 KNOWN = {
@@ -68,10 +73,12 @@ def read_table(path: Path) -> Table:
     is_index = len(bodies) > 1 and heading[0] == "" and _counts(heading[1:])  # as pandas writes it
     if not heads and (is_index or (_counts(heading) and "," in bodies[0] and "." in "".join(bodies[1:2]))):
         content, bodies = content[1:], bodies[1:]
-    separator, decimal = _separator(bodies[0])
+    separator = _separator(bodies[0])
     if "\t" in bodies[0] and any("\t" in text for _, text in heads):
         separator = "\t"  # the words of a name, and missing numbers, are kept together
-    decimal = "," if _has_decimal_commas(bodies, separator) else decimal
+    if _has_decimal_commas(bodies, separator):
+        quoted = rb'"[^"\n]*"' if separator == "," else rb"(?s).+"
+        data = re.sub(quoted, lambda each: each[0].replace(b",", b"."), data)
     cells = split_cells(bodies[0], separator)
     if len(cells) > COLUMNS_MAX:
         raise ValueError(f"line {content[0] + 1} has {len(cells)} numbers; expected those of one point or pose a line")
@@ -86,7 +93,7 @@ def read_table(path: Path) -> Table:
     first = content[0] if names is None else heads[-1][0] + 1  # a label below it may look like a comment
     skipped = sum(map(len, lines[:first]))
     return Table(
-        data[skipped:] if skipped else data, len(cells), separator, decimal, tuple(name for name, _ in plain),
+        data[skipped:] if skipped else data, len(cells), separator, tuple(name for name, _ in plain),
         tuple(unit or more for (_, unit), more in zip(plain, units or [""] * len(plain), strict=True)),
         names is not None, declared, first + 1, tuple(range(is_index, len(cells) - is_open)),
         tuple(_plain(word)[0] for words in said for word in words), bool(heads) and names is None,
@@ -104,8 +111,10 @@ def _plain_numbers(data: bytes) -> bytes:
         data = FORTRAN.sub(b"e", data)
     if time := TIME.search(head):
         line = head[head.rfind(b"\n", 0, time.start()) + 1 :].splitlines()[0]
-        separated = any(sign in line for sign in b",;\t")  # else date and time are columns
-        data = TIME.sub(lambda each: _unix_s(each[0]) if separated or each[0][10:11] != b" " else each[0], data)
+        others = TIME_WITH_COMMA.sub(b"0", line).decode("utf-8", "replace")
+        form = TIME if _separator(others) == "," or not re.search(r"\S[\s;]+\S", others) else TIME_WITH_COMMA
+        separated = any(sign in others for sign in ",;\t")  # else date and time are columns
+        data = form.sub(lambda each: _unix_s(each[0]) if separated or each[0][10:11] != b" " else each[0], data)
     lists = LISTS.search(head)
     if lists and not re.match(rb"[^\n]*[,;]", head[lists.end() :].lstrip()):
         names = lists[1].strip(b", ")
@@ -138,7 +147,7 @@ def _head(data: bytes) -> tuple[list[bytes], list[int]]:
 
 def _cells_of(line: str) -> list[str]:
     """The fields of a line whose separator is not known yet."""
-    return split_cells(line, "\t" if "\t" in line else _separator(line)[0])
+    return split_cells(line, "\t" if "\t" in line else _separator(line))
 
 
 def _is_of_numbers(cells: list[str], before: list[str]) -> bool:
@@ -152,7 +161,7 @@ def _is_of_numbers(cells: list[str], before: list[str]) -> bool:
 
 
 def _numbers_in(cells: list[str]) -> int:
-    return sum(any(is_number(cell, sign) for sign in ".,") for cell in cells if cell not in NOT_A_NUMBER)
+    return sum(is_number(cell.replace(",", ".")) for cell in cells if cell not in NOT_A_NUMBER)
 
 
 def _names(heads: list[tuple[int, str]], counts: set[int], begin: int) -> tuple[list[str] | None, list[str]]:
@@ -183,11 +192,18 @@ def _counts(cells: list[str]) -> bool:
 
 
 def _has_decimal_commas(lines: list[str], separator: str) -> bool:
-    """Whether numbers in these lines have commas instead of points: between other separators or in quotes."""
+    """Whether numbers in these lines have commas instead of points: between other separators or in quotes. Beside
+    other columns with points, they may be those of thousands."""
     pattern = r'"[+-]?\d+,\d+' if separator == "," else r"\d,\d"
-    if not any(re.search(pattern, line) for line in lines) or any(re.search(r"\d\.\d", line) for line in lines):
+    if not any(re.search(pattern, line) for line in lines):
         return False
-    return separator != " " or all(DECIMAL_COMMA.fullmatch(word) for line in lines for word in line.split())
+    columns = [*zip(*(split_cells(line, separator) for line in lines), strict=False)]
+    with_comma, with_point = ([any(map(form.fullmatch, column)) for column in columns] for form in (COMMA, POINT))
+    commas = [cell for column in columns for cell in column if "," in cell]
+    numbers = [cell for cell in commas if COMMA.fullmatch(cell)]
+    if any(map(all, zip(with_comma, with_point, strict=True))) or (separator == " " and len(numbers) < len(commas)):
+        return False
+    return bool(numbers) and not (any(with_point) and all(map(THOUSANDS.fullmatch, numbers)))
 
 
 def _words(comment: str, count: int) -> list[str]:
@@ -195,7 +211,7 @@ def _words(comment: str, count: int) -> list[str]:
     ``count``: of columns, which tells whether "name" or "field" is one of them."""
     comment = comment.rpartition(":")[2].replace("|", " ").strip()
     texts = (HEADING.sub("", comment), comment)
-    both = [split_cells(re.sub(r"\s+([\[(])", r"\1", text), _separator(text)[0]) for text in texts]
+    both = [split_cells(re.sub(r"\s+([\[(])", r"\1", text), _separator(text)) for text in texts]
     words = next((words for words in both if len(words) == count), both[0])
     plain = [_plain(word)[0] for word in words]
     beside = any([word[-1:] for word in plain[k : k + 3]] == ["x", "y", "z"] for k in range(len(plain)))
@@ -215,14 +231,10 @@ def _plain(name: str) -> tuple[str, str]:
     return "_".join(words[:-1] if len(words) > 1 and unit and words[-1] == "in" else words), unit
 
 
-def _separator(line: str) -> tuple[str, str]:
-    """Separator and decimal sign of a line of numbers."""
+def _separator(line: str) -> str:
+    """Separator of a line of numbers."""
     line = QUOTED.sub("0", line)
-    if ";" in line:
-        return ";", "."
     words = line.split()
-    if "," in line and len(words) > 2 and all(DECIMAL_COMMA.fullmatch(word) for word in words):
-        return " ", ","
-    if "," in line:
-        return ",", "."
-    return " ", "."
+    numbers = [word for word in words if DECIMAL.fullmatch(word)]
+    has_decimals = len(numbers) > 2 and not any("," in word for word in words if word not in numbers)
+    return ";" if ";" in line else "," if "," in line and not has_decimals else " "

@@ -20,9 +20,9 @@ NOT_A_NUMBER = ("", "nan", "NaN", "NAN", "-nan", "-NaN", "nan(ind)", "-nan(ind)"
 class Table:
     """Lines of numbers, from ``data`` on.
 
-    ``columns``: fields a line, separated by ``separator`` (a blank stands for any white space), with the sign
-    ``decimal``. ``names``: of the columns, in lower case, with ``_`` for all other signs, and ``units`` ("" if not
-    given); both are empty without names. ``has_header``: the names stand in a line of their own, not in a comment.
+    ``columns``: fields a line, separated by ``separator`` (a blank stands for any white space). ``names``: of the
+    columns, in lower case, with ``_`` for all other signs, and ``units`` ("" if not given); both are empty without
+    names. ``has_header``: the names stand in a line of their own, not in a comment.
     ``declared``: number of lines according to the first one; ``first``: number of the first line in the file.
     ``has_title``: other words stand before the numbers. For tables without names, ``own``: all columns but an index and
     an empty last one; ``said``: the words of comments, in the form of names, whatever their number.
@@ -31,7 +31,6 @@ class Table:
     data: bytes
     columns: int
     separator: str = " "
-    decimal: str = "."
     names: tuple[str, ...] = ()
     units: tuple[str, ...] = ()
     has_header: bool = False
@@ -67,7 +66,7 @@ class Table:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")  # about texts among the numbers of other columns
                 table = pd.read_csv(
-                    io.BytesIO(self.data), sep=self.separator.replace(" ", r"\s+"), decimal=self.decimal, header=None,
+                    io.BytesIO(self.data), sep=self.separator.replace(" ", r"\s+"), header=None,
                     comment="#", nrows=rows, dtype=dict.fromkeys(wanted, np.float64), keep_default_na=False,
                     na_values=NOT_A_NUMBER, encoding_errors="replace",
                 )  # fmt: skip
@@ -91,7 +90,7 @@ class Table:
             if len(cells) != self.columns:
                 raise ValueError(f"line {number} has {len(cells)} fields, {shown(text)}; expected {self.columns}")
             for cell in (cells[k] for k in wanted):
-                if not is_number(cell, self.decimal) and cell not in NOT_A_NUMBER:
+                if not is_number(cell) and cell not in NOT_A_NUMBER:
                     raise ValueError(f"line {number}: {shown(cell)}; expected a number")
             seen += 1
             if seen == rows:
@@ -106,7 +105,7 @@ class Table:
                 raise ValueError(f"line {number} has a quotation mark that is not closed")
             if labels and line.lstrip().startswith(b"#"):
                 cells = split_cells(line.decode("utf-8", "replace").replace('"', ""), self.separator)
-                if len(cells) == self.columns and all(is_number(cells[k], self.decimal) for k in wanted):
+                if len(cells) == self.columns and all(is_number(cells[k]) for k in wanted):
                     raise ValueError(f"line {number} begins like a comment, but has all {len(cells)} fields")
 
 
@@ -117,10 +116,10 @@ def split_cells(line: str, separator: str) -> list[str]:
     return [cell.strip() for cell in next(csv.reader([line], delimiter=separator, skipinitialspace=True))]
 
 
-def is_number(cell: str, decimal: str) -> bool:
-    """Whether a field is a number with this decimal sign."""
+def is_number(cell: str) -> bool:
+    """Whether a field is a number."""
     try:
-        float(cell.replace(decimal, "."))
+        float(cell)
     except ValueError:
         return False
-    return "_" not in cell and (decimal == "." or "." not in cell)
+    return "_" not in cell

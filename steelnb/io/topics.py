@@ -1,15 +1,25 @@
 """Which topics of a bag hold the scans and the poses: those of a suitable type, or those that the user names."""
 
+import os
 import re
-from pathlib import Path
 from typing import NamedTuple
 
 from steelnb.core.errors import InputError
 from steelnb.io import messages as ros
 from steelnb.io.containers import Container
+from steelnb.io.encodings import REPLAYED
 from steelnb.io.layouts import DEPTHS
 
 SCANS = "clouds (PointCloud2 or depth images)"
+PACKED = {
+    ".*/CompressedImage": "a compressed depth image; expected a raw one, which `ros2 run image_transport republish "
+    "compressedDepth raw` makes (ROS 1: rosrun)",
+    ".*Packet.*|.*(?:Velodyne|Pandar|[rR]slidar)Scan|.*UdpFrame": f"packets of a LiDAR, not points; {REPLAYED}",
+    ".*/CustomMsg": "a Livox's own message; expected PointCloud2, which its driver publishes with xfer_format 0",
+    ".*LaserScan": "a scan of one plane; expected clouds (PointCloud2) of a sensor that measures in three dimensions",
+    "sensor_msgs/msg/PointCloud": "an old PointCloud; expected PointCloud2 (ROS 1: point_cloud_converter)",
+}
+"""Messages of scans that are not read, by patterns of their types: what they are, and the remedy."""
 POSES_MIN = 3
 """A topic with fewer poses may be a goal or a start."""
 
@@ -29,14 +39,15 @@ class PoseSource(NamedTuple):
 
 def scan_topic(bag: Container, name: str | None) -> str:
     """The topic of the scans. Raises `InputError`."""
-    clouds, packed = bag.of_type(ros.CLOUD), [t for t in bag.of_type(ros.COMPRESSED_IMAGE) if "depth" in t.lower()]
+    clouds, packed = bag.of_type(ros.CLOUD), dict[str, str]()
+    for pattern, words in PACKED.items():
+        found = [topic for topic, kind in bag.types.items() if re.fullmatch(pattern, kind)]
+        packed |= {t: words for t in found if bag.types[t] != ros.COMPRESSED_IMAGE or "depth" in t.lower()}
     images, faults = depth_images(bag, name) if name or not clouds else ([], [])
     candidates = [*clouds, *images] if name else clouds or images
     if name in packed or (packed and not candidates):
-        raise InputError(
-            f"{bag.path}: {name or packed[0]} is a compressed depth image; expected a raw one, which "
-            "`ros2 run image_transport republish compressedDepth raw` makes (ROS 1: rosrun)"
-        )
+        topic = name if name in packed else next(iter(packed))
+        raise InputError(f"{bag.path}: {topic} is {packed[topic]}")
     if faults and not candidates:
         raise faults[0]
     return bag.choose(SCANS, name, candidates)
@@ -78,7 +89,7 @@ def pose_source(bag: Container, name: str | None, scans: str) -> PoseSource:
         space = name.rpartition("/")[0]
         return PoseSource(tuple(t for t in bag.of_type(*ros.TF) if t.rpartition("/")[0] == space), uses_tf=True)
     if name and name not in bag.types:
-        if Path(name).is_file():
+        if os.path.isfile(name):  # Path.is_file raises for a name that is too long
             return PoseSource(tf, file=name)
         if pair := re.fullmatch(r"(?:tf )?\s*/?([^>→]+?)\s*(?:-?>|→)\s*/?([^>→]+?)\s*", name):
             return PoseSource(tf, uses_tf=True, pair=(pair[1], pair[2]))
@@ -97,7 +108,9 @@ def camera_topic(bag: Container, images: str, frame_of: dict[str, str]) -> str:
     another camera by its name and by its frame.
     """
     cameras, folder = [name for name in frame_of if name != images], images.rpartition("/")[0]
-    near = [[name for name in cameras if name.rpartition("/")[0] == each] for each in (folder, _parent(folder))]
+    near = [
+        [name for name in cameras if name.rpartition("/")[0] == each] for each in (folder, folder.rpartition("/")[0])
+    ]
     found = near[0] or near[1] or cameras
     found = [name for name in found if frame_of[name] == frame_of[images]] or found if len(found) > 1 else found
     topic = bag.choose(f"CameraInfo of {images}", None, found)
@@ -107,10 +120,6 @@ def camera_topic(bag: Container, images: str, frame_of: dict[str, str]) -> str:
             f" {frame_of[topic]!r}; expected that of its own camera"
         )
     return topic
-
-
-def _parent(topic: str) -> str:
-    return topic.rpartition("/")[0]
 
 
 def _tf_topics(bag: Container, scans: str) -> tuple[str, ...]:

@@ -62,7 +62,7 @@ def read_trajectory(path: Path | str, skipped: Counter[str] | None = None) -> Tr
             rows, unit = _kitti(path, table), ""
         else:
             rows, unit = _tum(table), ""
-        _check_units(rows, unit)
+        check_units(rows, unit)
     return trajectory_of(path, rows, Counter() if skipped is None else skipped)
 
 
@@ -72,9 +72,9 @@ def unit_of_stamps(stamps: Array) -> str | None:
     return next((unit for unit, s in SECONDS.items() if UNIX_S[0] <= typical * s <= UNIX_S[1]), None)
 
 
-def _check_units(rows: Array, unit: str) -> None:
-    """Raise ValueError if poses are so far apart that their stamps, whose ``unit`` is "" if not given, are no seconds,
-    or that their positions are no metres."""
+def check_units(rows: Array, unit: str) -> None:
+    """Raise ValueError if poses, ``rows (N, 4 or more)`` of stamp and position, are so far apart that their stamps,
+    whose ``unit`` is "" if not given, are no seconds, or that their positions are no metres."""
     rows = rows[np.isfinite(rows[:, :4]).all(axis=1)]
     if len(rows) < 2:
         return

@@ -2,9 +2,10 @@
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from steelnb.core.errors import InputError
-from steelnb.core.types import GRAVITY
+from steelnb.core.types import GRAVITY, Trajectory
 from steelnb.io import read_flight, write_tum
 from steelnb.io.frames import T_OPTICAL_SENSOR
 from steelnb.io.messages import CLOUD, ODOMETRY, PATH, POSE_COVARIANCE, POSE_STAMPED, TRANSFORM
@@ -192,7 +193,7 @@ def test_scans_with_repeated_or_decreasing_stamps_are_dropped(tmp_path):
     bag = Bagged(tmp_path / "a.bag").clouds(stamps=[0.0, 0.2, 0.2, 0.1, 0.4, 0.8]).odometry()
     flight = read_flight(bag.write(in_order=False))
     np.testing.assert_array_equal(flight.prior.stamp_s, [0.0, 0.2, 0.4, 0.8])
-    assert flight.skipped == {"scan whose stamp does not rise": 2}
+    assert flight.skipped == {"scan whose stamp does not rise": 1, "scan message that repeats another one": 1}
 
 
 def test_invalid_scans_have_a_fault_and_keep_their_place(tmp_path):
@@ -236,7 +237,11 @@ def test_an_imu_that_does_not_measure_all_gives_way_to_another(tmp_path):
     flight = read_flight(bag.write())
     assert flight.facts["imu"] == "/b"
     assert flight.imu.specific_force.tolist() == [[2.0] * 3]
-    assert "inertial readings of /a, /c are left out" in flight.facts["notes"]
+    assert "inertial readings of /a, /c are left out (--imu TOPIC names an IMU)" in flight.facts["notes"]
+    named = read_flight(bag.path, imu="/c")
+    assert named.imu.specific_force.tolist() == [[3.0] * 3]
+    with pytest.raises(InputError, match=r"no topic '/d'; expected one topic of an IMU, .* /a \(Imu\), /b \(Imu\), /c"):
+        read_flight(bag.path, imu="/d")
 
 
 def test_an_imu_with_optical_axes_is_turned_without_a_transform(tmp_path):
@@ -397,3 +402,78 @@ def test_two_topics_with_a_half_of_an_imu_each_are_left_out(tmp_path):
     flight = read_flight(bag.write())
     assert flight.imu is None
     assert "inertial readings of /accel, /gyro are left out" in flight.facts["notes"]
+
+
+def inertial(path, stamps, force, rate, trajectory):
+    """A flight with inertial readings whose specific force and rate about z do not change."""
+    bag = Bagged(path).clouds(stamps=trajectory.stamp_s).odometry(trajectory=trajectory)
+    for stamp_s in stamps.tolist():
+        message = bag.make.imu(ns(stamp_s), np.array(force), np.array([0.0, 0.0, rate]))
+        bag.rows.append(("/imu", "sensor_msgs/msg/Imu", stamp_s, message))
+    return read_flight(bag.write())
+
+
+@pytest.mark.parametrize("force", [16384.0, 8192.0, 2048.0, 256.0])
+@pytest.mark.parametrize("count", [10, 150])
+def test_raw_counts_of_an_imu_are_left_out(tmp_path, force, count):
+    flight = inertial(tmp_path / "a.mcap", np.arange(count) / 100, [0.0, 0.0, force], 0.0, poses(5))
+    assert flight.imu is None
+    assert f"/imu are left out: {force:.5g} at rest, as of raw counts" in flight.facts["notes"]
+
+
+@pytest.mark.parametrize("unit", [1.0, 180 / np.pi])
+@pytest.mark.parametrize("rate", [0.1, -0.3])
+@pytest.mark.parametrize("bias", [0.0, 0.02])
+def test_rates_in_degrees_are_told_by_the_poses(tmp_path, unit, rate, bias):
+    stamp_s = np.round(0.2 * np.arange(40), 9)
+    T = np.tile(np.eye(4), (40, 1, 1))
+    T[:, :3, :3] = Rotation.from_rotvec(np.outer(stamp_s, [0, 0, rate])).as_matrix()
+    flight = inertial(
+        tmp_path / "a.mcap", np.arange(160) / 20, [0.0, 0.0, 9.81], unit * (rate + bias), Trajectory(stamp_s, T)
+    )
+    np.testing.assert_allclose(flight.imu.angular_rate[:, 2], rate + bias)
+    assert ("in degrees a second, by the poses" in flight.facts.get("notes", "")) == (unit > 1)
+
+
+@pytest.mark.parametrize("along", [[0.0, 0.0, -9.81], [9.81, 0.0, 0.0], [1.0, -9.0, 1.0], [0.5, 0.5, 9.7]])
+def test_an_imu_whose_z_is_not_up_is_left_out(tmp_path, along):
+    upright = Trajectory(np.round(0.1 * np.arange(20), 9), np.tile(np.eye(4), (20, 1, 1)))
+    flight = inertial(tmp_path / "a.mcap", np.arange(200) / 100, along, 0.0, upright)
+    assert (flight.imu is None) == (along[2] < 9)
+    assert ("m/s² in the world; expected z up" in flight.facts.get("notes", "")) == (along[2] < 9)
+
+
+def test_an_imu_with_another_clock_is_left_out(tmp_path):
+    flight = inertial(tmp_path / "a.mcap", 1000 + np.arange(9) / 100, [0.0, 0.0, 9.81], 0.0, poses(5))
+    assert flight.imu is None
+    assert (
+        "/imu are left out: stamps from 1000.000 s on, poses from 0.000 s; expected one clock" in flight.facts["notes"]
+    )
+
+
+@pytest.mark.parametrize("by_tf", [True, False])
+def test_poses_of_a_topic_in_millimetres_are_refused(tmp_path, by_tf):
+    far, bag = poses(5).T_world_drone.copy(), Bagged(tmp_path / "a.mcap").clouds()
+    far[:, :3, 3] *= 1000
+    for stamp, T in zip(STAMPS, far, strict=True):
+        if by_tf:
+            bag.tf("odom", "base_link", T, float(stamp), "/tf")
+    path = (bag if by_tf else bag.odometry(trajectory=Trajectory(STAMPS, far))).write()
+    with pytest.raises(InputError, match=r"a.mcap: .* m apart after 0.2 s; expected positions in metres"):
+        read_flight(path)
+
+
+def test_a_sensor_far_from_its_drone_is_told(tmp_path):
+    bag = Bagged(tmp_path / "a.mcap").clouds().odometry().tf("base_link", "tof", T_of((60, 0, -80)))
+    assert (
+        "tof is 100 m from base_link; expected the place of a sensor on a drone"
+        in read_flight(bag.write()).facts["notes"]
+    )
+
+
+def test_a_transposed_camera_matrix_is_refused(tmp_path):
+    bag = Bagged(tmp_path / "a.mcap").images("/depth/image", np.ones((2, 3), "<f4"), "32FC1").odometry()
+    with pytest.raises(
+        InputError, match=r"CameraInfo with K \[2.0, 0.0, 0.0, .*; expected that of a calibrated camera"
+    ):
+        read_flight(bag.camera(K=(2.0, 0, 0, 0, 4.0, 0, 1.0, 0.5, 1)).write())

@@ -83,3 +83,11 @@ def test_the_longest_rising_series_is_kept(stamps, strictly):
             if stamps[j] < stamp or (stamps[j] == stamp and not strictly):
                 best[k] = max(best[k], best[j] + 1)
     assert len(found) == max(best, default=0)
+
+
+def test_different_scans_of_a_clock_that_stands_still_are_not_joined(tmp_path):
+    stamps = TIMES.copy()
+    stamps[3:6] = stamps[3]
+    flight = read_flight(bag_of(tmp_path / "a.mcap", stamps))
+    np.testing.assert_array_equal(flight.prior.stamp_s, np.delete(TIMES, [4, 5]))
+    assert flight.scans[3].points.size == flight.scans[2].points.size

@@ -166,7 +166,7 @@ def test_texts_of_many_programs_give_the_same_points(content: str, encoding: str
         ("1 2 3\n4 5 6\n\0\0\0", "byte 12 is zero; expected plain text"),
         ("a b c\n", "no line of numbers"),
         ("", "no line of numbers"),
-        ("1e30 0 1\n0 2e30 0\n1 2 3\n", "2 points farther than 1e.08 m"),
+        ("1e30 0 1\n0 2e30 0\n1 2 3\n", "2 points that are not within 1e-30 to 1e.08 m"),
     ],
 )
 def test_unclear_texts_are_refused_with_their_line(content: str, message: str, tmp_path: Path) -> None:

@@ -31,12 +31,12 @@ def assert_whole(flight):
     assert [scan.fault for scan in flight.scans] == [""] * 5
 
 
-def mcap(path, ros=2, encoding="cdr", chunk_messages=4, compression="", short_names=False):
+def mcap(path, ros=2, encoding="cdr", chunk_messages=4, compression="", short_names=False, cloud=CLOUD):
     """An MCAP file with a chunk index, but without indices of messages."""
     text = lambda value: struct.pack("<I", len(value)) + value.encode()  # noqa: E731
     record = lambda kind, body: bytes([kind]) + struct.pack("<Q", len(body)) + body  # noqa: E731
     bag, store = Bagged(path.with_suffix(".bag" if ros == 1 else ".mcap")).clouds().odometry(), typestore(ros)
-    names = {"/points": CLOUD, "/odom": ODOMETRY}
+    names = {"/points": cloud, "/odom": ODOMETRY}
     head, blocks, index = b"", [b""], b""
     for k, (topic, kind) in enumerate(names.items(), 1):
         name = kind.replace("/msg/", "/") if ros == 1 or short_names else kind
@@ -199,3 +199,28 @@ def test_the_type_of_a_named_topic_is_told(tmp_path):
 
 def test_types_may_be_named_as_in_ros_1(tmp_path):
     assert_whole(read_flight(mcap(tmp_path / "hand.mcap", short_names=True)))
+
+
+@pytest.mark.parametrize(
+    ("kind", "what"),
+    [
+        ("ouster_ros/msg/PacketMsg", "packets of a LiDAR, not points; expected clouds"),
+        ("velodyne_msgs/msg/VelodyneScan", "packets of a LiDAR, not points; expected clouds"),
+        ("hesai_ros_driver/msg/UdpFrame", "packets of a LiDAR, not points; expected clouds"),
+        ("livox_ros_driver2/msg/CustomMsg", "a Livox's own message; expected PointCloud2, .* xfer_format 0"),
+        ("sensor_msgs/msg/LaserScan", "a scan of one plane; expected clouds"),
+        ("sensor_msgs/msg/PointCloud", "an old PointCloud; expected PointCloud2"),
+    ],
+)
+@pytest.mark.parametrize("scans", [None, "/points"])
+def test_messages_of_other_scans_are_named(tmp_path, kind, what, scans):
+    with pytest.raises(InputError, match=f"/points is {what}"):
+        read_flight(mcap(tmp_path / "a.mcap", cloud=kind), scans=scans)
+
+
+@pytest.mark.parametrize("kind", KINDS[:2])
+def test_of_a_topic_with_two_types_one_is_read(tmp_path, kind):
+    bag = Bagged(tmp_path / kind).clouds().odometry()
+    flight = read_flight(bag.images("/points", np.ones((2, 3), "<f4"), "32FC1").write())
+    assert_whole(flight)
+    assert f"{kind} has /points also as Image, which is left out" in flight.facts["notes"]

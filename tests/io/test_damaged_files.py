@@ -1,6 +1,8 @@
 """Damaged files of points and poses end in a result or one line, whatever their headers say."""
 
+import contextlib
 import os
+import socket
 import tracemalloc
 from pathlib import Path
 
@@ -8,7 +10,7 @@ import numpy as np
 import pytest
 
 from steelnb.core.errors import InputError
-from steelnb.io import read_trajectory, write_tum
+from steelnb.io import read_flight, read_trajectory, read_truth, write_tum
 from steelnb.io.clouds import read_points
 from tests.io.samples import poses
 from tests.io.test_clouds import save
@@ -88,3 +90,43 @@ def test_damaged_headers_give_points_or_one_line(name: str, tmp_path: Path, capf
     tracemalloc.stop()
     assert refused > TRIALS / 10
     assert capfd.readouterr() == ("", "")
+
+
+@pytest.mark.parametrize("kind", ["pipe", "socket", "device"])
+@pytest.mark.parametrize("read", [read_flight, read_trajectory, read_points, read_truth])
+def test_what_may_never_end_is_refused(tmp_path, kind, read):
+    path = tmp_path / ("a.truth.tum" if read is read_truth else "a.ply" if read is read_points else "a.mcap")
+    if kind == "pipe":
+        os.mkfifo(path)
+    elif kind == "socket":
+        with contextlib.chdir(tmp_path):  # its whole path may be too long for a socket
+            socket.socket(socket.AF_UNIX).bind(path.name)
+    else:
+        path.symlink_to("/dev/zero")
+    with pytest.raises(InputError, match=r"a pipe, a device or a socket; expected .*, in a file"):
+        read(tmp_path / "a.mcap", truth=str(path)) if read is read_truth else read(path)
+
+
+def test_pipes_in_a_folder_are_no_parts_of_a_recording(tmp_path):
+    os.mkfifo(tmp_path / "b.mcap")
+    with pytest.raises(InputError, match="no whole message in it"):
+        read_flight(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("name", "begin", "what"),
+    [
+        ("a.e57", b"ASTM-E57\1", "E57; expected PLY or LAS"),
+        ("a.pcap", b"\xd4\xc3\xb2\xa1", "packets of a network"),
+        ("a.pcapng", b"\n\r\r\n\1", "packets of a network"),
+        ("a.zip", b"PK\3\4", "a zip archive"),
+        ("a.ulg", b"ULog\1\x12\x35", "a log of PX4"),
+        ("a.txt", b"%PDF-1.4\n1 0 0\n2 3 4\n", "a document"),
+        ("a.xyz", b"OFF\n2 0 0\n1 2 3\n4 5 6\n", "OFF; expected PLY"),
+    ],
+)
+def test_files_of_other_programs_are_named(tmp_path, name, begin, what):
+    (tmp_path / name).write_bytes(begin)
+    for read in (read_points, read_flight):
+        with pytest.raises(InputError, match=f"{name}: .*{what}"):
+            read(tmp_path / name)

@@ -180,3 +180,20 @@ def test_numbers_before_words_are_an_order(tmp_path: Path) -> None:
 def test_other_tables_of_eight_numbers_are_no_trajectory(folder: Path) -> None:
     (folder / "calib.txt").write_text("Camera calibration\n" + "".join(f"{k} 1 2 3 0 0 0 1\n" for k in range(3)))
     assert len(read_flight(folder)) == 10
+
+
+@pytest.mark.parametrize(
+    "names", [["9_a", "10_b", "11_a"], ["9_a", "10_b", "11_c"], ["scan_8", "scan_9_x", "scan_10", "scan_11"]]
+)
+def test_files_are_in_the_order_of_their_first_numbers(tmp_path: Path, names: list[str]) -> None:
+    for k, name in enumerate(names):
+        np.save(tmp_path / f"{name}.npy", POINTS + k)
+    write_tum(tmp_path / "trajectory.tum", poses(len(names)))
+    scans = read_flight(tmp_path).scans
+    np.testing.assert_array_equal([scan.points for scan in scans], [POINTS + k for k in range(len(names))])
+
+
+@pytest.mark.parametrize("options", [{"clock": "bag"}, {"imu": "/imu"}])
+def test_what_only_a_bag_has_is_refused(folder: Path, options: dict) -> None:
+    with pytest.raises(InputError, match=r"(clock 'bag'|IMU /imu); expected a bag"):
+        read_flight(folder, **options)

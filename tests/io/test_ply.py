@@ -110,3 +110,10 @@ def test_contradictions_are_refused(content: bytes, message: str, tmp_path: Path
     (tmp_path / "a.ply").write_bytes(content)
     with pytest.raises(InputError, match=rf"a.ply: not a PLY file of points: .*({message})"):
         read_points(tmp_path / "a.ply")
+
+
+@pytest.mark.parametrize(("encoding", "order"), [("binary_little_endian", ">"), ("binary_big_endian", "<")])
+def test_bytes_in_another_order_than_stated_are_refused(tmp_path: Path, encoding: str, order: str) -> None:
+    (tmp_path / "a.ply").write_bytes(header(encoding) + records(order))
+    with pytest.raises(InputError, match=r"points that are not within 1e-30 to 1e.08 m"):
+        read_points(tmp_path / "a.ply")

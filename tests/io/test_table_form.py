@@ -216,3 +216,43 @@ def test_a_plumb_tube_is_not_in_degrees(tmp_path):
     for width in (4e-3, 1e-16):
         np.save(tmp_path / "a.npy", rng.uniform([3, 4, 0], [3 + width, 4 + width, 12], (300, 3)))
         assert len(read_cloud(tmp_path / "a.npy")) == 300
+
+
+ROW = "1.5 2.5 3.5 0 0 0 1"
+
+
+@pytest.mark.parametrize("separator", [" ", "\t", ";", "; "])
+@pytest.mark.parametrize("decimal", [".", ","])
+@pytest.mark.parametrize(
+    ("times", "begin_s"),
+    [
+        (("12,5", "13"), 12.5),
+        (("1700000000,250", "1700000001,250"), 1_700_000_000.25),
+        (("2023-11-14T22:13:20,25", "2023-11-14T22:13:21,25"), 1_700_000_000.25),
+        (("2023-11-14T22:13:20,25Z", "2023-11-14T22:13:21Z"), 1_700_000_000.25),
+    ],
+)
+def test_times_have_decimal_commas(tmp_path, separator, decimal, times, begin_s):
+    rows = [f"{time} {ROW}".replace(" ", separator) for time in times]
+    (tmp_path / "a.tum").write_text("\n".join(rows).replace(".", decimal))
+    trajectory = read_trajectory(tmp_path / "a.tum")
+    assert trajectory.stamp_s[0] == begin_s
+    np.testing.assert_array_equal(trajectory.position[0], [1.5, 2.5, 3.5])
+
+
+@pytest.mark.parametrize("time", ["2023-11-14T22:13:20", '"2023-11-14T22:13:20,0"'])
+def test_commas_after_times_separate_unless_they_are_quoted(tmp_path, time):
+    rows = [f"{time},1,2,3,0,0,0,1", f"{time.replace('20', '21')},4,5,6,0,0,0,1".replace("2123", "2023")]
+    (tmp_path / "a.csv").write_text("\n".join(["t,x,y,z,qx,qy,qz,qw", *rows]))
+    np.testing.assert_array_equal(read_trajectory(tmp_path / "a.csv").position, EXPECTED)
+
+
+def test_a_first_line_with_decimal_commas_and_a_label_is_no_title(tmp_path):
+    (tmp_path / "a.txt").write_text("1,5 2.5 3 a\n4 5 6 b\n")
+    np.testing.assert_array_equal(read_points(tmp_path / "a.txt"), [[1.5, 2.5, 3], [4, 5, 6]])
+
+
+def test_commas_of_thousands_are_refused(tmp_path):
+    (tmp_path / "a.tum").write_text(f"12,500;{ROW}\n13,500;{ROW}\n".replace(" ", ";"))
+    with pytest.raises(InputError, match="line 1: '12,500'; expected a number"):
+        read_trajectory(tmp_path / "a.tum")

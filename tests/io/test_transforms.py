@@ -209,7 +209,7 @@ def test_scans_of_several_sensors_at_one_time_are_one_scan(bag, sensors):
     flight = read_flight(bag.odometry().write())
     assert len(flight) == len(STAMPS)
     assert flight.skipped == {}
-    assert f"{sensors * len(STAMPS)} messages of several sensors are {len(STAMPS)} scans" in flight.facts["notes"]
+    assert f"{sensors * len(STAMPS)} messages are {len(STAMPS)} scans" in flight.facts["notes"]
     drone = np.concatenate([POINTS.reshape(-1, 3) @ mount[:3, :3].T + mount[:3, 3] for mount in mounts])
     for T, found in zip(DRONE.T_world_drone, world_points(flight), strict=True):
         np.testing.assert_allclose(found, drone @ T[:3, :3].T + T[:3, 3], atol=1e-6)
@@ -298,3 +298,32 @@ def test_a_part_of_a_scan_that_cannot_be_read_leaves_the_others(bag):
 def test_optical_before_another_word_is_none(bag, frame):
     scan = next(iter(read_flight(bag.clouds(frame=frame).odometry().write()).scans))
     np.testing.assert_allclose(scan.points, POINTS)
+
+
+@pytest.mark.parametrize("delay_s", [0.0, 0.1])
+@pytest.mark.parametrize("parts", ["ab", "aa", "aab", "abab"])
+def test_parts_of_a_scan_are_joined_and_repeated_ones_left_out(bag, parts, delay_s):
+    """Stamps are 0.2 s apart. ``parts``: the points of the messages of one stamp."""
+    points = {"a": POINTS, "b": POINTS + 100}
+    for stamp in STAMPS:
+        for k, part in enumerate(parts):
+            bag.clouds(stamps=[stamp], points=points[part])
+            bag.rows[-1] = ("/points", bag.rows[-1][1], stamp + k * delay_s / len(parts), bag.rows[-1][3])
+    flight = read_flight(bag.odometry().write())
+    different = sorted({*parts})
+    np.testing.assert_array_equal(
+        [scan.points.reshape(-1, 3) for scan in flight.scans],
+        [np.concatenate([points[part].reshape(-1, 3) for part in different])] * 5,
+    )
+    repeated = 5 * (len(parts) - len(different))
+    assert flight.skipped == ({"scan message that repeats another one": repeated} if repeated else {})
+    assert ("10 messages are 5 scans" in flight.facts.get("notes", "")) == (len(different) > 1)
+
+
+@pytest.mark.parametrize("frame", ["camera_depth_optical_frame", "camera_color_optical_frame"])
+def test_depth_images_without_tf_look_ahead(bag, frame):
+    bag.images("/depth/image", np.full((2, 3), 2.0, np.float32), "32FC1", frame).camera(frame=frame).odometry()
+    flight = read_flight(bag.write())
+    np.testing.assert_array_equal(flight.T_drone_sensor, np.eye(4))
+    np.testing.assert_array_equal(flight.scans[0].points[..., 0], 2.0)
+    assert "identity assumed" in flight.facts["mount"]
