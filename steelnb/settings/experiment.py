@@ -107,19 +107,18 @@ class ExperimentSettings(Settings):
         >>> settings.tof.rate_hz, settings.odometry.dof
         (10.0, 'xyz_yaw')
         """
-        odometry = OdometrySettings.preset(method, sensor)
-        flight, imu = FlightSettings.preset(trajectory, duration_s), ImuSettings.preset(sensor)
-        if imu and trajectory in ("zigzag", "loops"):
-            flight = flight.replace(still_s=REST_S)
+        odometry, imu = OdometrySettings.preset(method, sensor), ImuSettings.preset(sensor)
         overrides = {} if overrides is None else overrides
         given = {"trajectory": trajectory, "noise": noise, "seed": seed, "duration_s": duration_s, "tower": tower}
         check_given_once(overrides, {name: None if _is_usual(name, value) else value for name, value in given.items()})
+        of_flight = {"still_s": REST_S} if imu and trajectory in ("zigzag", "loops") else {}
+        of_flight |= {name[7:]: value for name, value in overrides.items() if str(name).startswith("flight.")}
         settings = cls.model_construct(  # checked when they are changed
             sensor=sensor,
             noise_name=noise,
             seed=seed,
             tower=TowerSettings.of_flight(trajectory) if tower is None else TowerSettings.preset(tower),
-            flight=flight,
+            flight=FlightSettings.preset(trajectory, duration_s, of_flight),
             tof=TofSettings.preset(sensor),
             imu=imu,
             odometry=odometry,
@@ -198,7 +197,7 @@ def _is_usual(name: str, value: Any) -> bool:
     """Whether an argument may have this value because none was given."""
     if name == "seed":
         return isinstance(value, str) or (isinstance(value, numbers.Integral) and value == SEED)
-    return (name, value) in (("trajectory", "zigzag"), ("noise", "random-walk"))
+    return isinstance(value, str) and (name, value) in (("trajectory", "zigzag"), ("noise", "random-walk"))
 
 
 def overridden(overrides: Mapping[str, Any], name: str, value: Any) -> Any:
