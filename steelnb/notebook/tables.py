@@ -9,15 +9,8 @@ import numpy as np
 import pandas as pd
 
 from steelnb import experiment
-from steelnb.settings import (
-    TOWERS,
-    ExperimentSettings,
-    LoamSettings,
-    RegistrationSettings,
-    ReportCloudSettings,
-    TowerSettings,
-)
-from steelnb.settings.presets import members_file
+from steelnb.settings import ExperimentSettings, LoamSettings, RegistrationSettings, ReportCloudSettings, TowerSettings
+from steelnb.settings.presets import TOWERS, members_file
 
 CASE_COLUMNS = ("trajectory", "noise", "method", "sensor", "seed")
 """The columns of `case_of`."""
