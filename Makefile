@@ -25,11 +25,12 @@ help:  ## list the targets
 
 setup: $(READY)  ## create the virtual environment from environment.lock (the other targets do so if needed)
 
-$(READY): environment.lock pyproject.toml
+$(READY): environment.lock pyproject.toml Makefile
 	@command -v $(PYTHON) >/dev/null || { echo "$(PYTHON) not found: install Python 3.11, or name it: make PYTHON=/path/to/python3.11"; exit 1; }
 	@scripts/system-libraries $(LIBRARIES)
 	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile --require-hashes -r environment.lock
+	@$(BIN)/python -m pip uninstall --quiet --yes rfc3987-syntax # if it is there, papermill compiles a grammar of IRIs for 2 s at each start
 	@$(BIN)/python -m compileall -q -j 0 $(VENV)/lib >/dev/null 2>&1 || true # pip would use one core; a few files of libraries are no Python 3
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation -e .
 	@$(BIN)/python -m workflow kernels

@@ -55,7 +55,9 @@ def call(app: typer.Typer, name: str, arguments: list[str] | None) -> int:
         say(f"{name}: error: {' '.join(message.split())[:1000]}", sys.stderr)
         return 2
     except KeyboardInterrupt:
-        code = 130
+        return 130
+    except SystemExit as ended:  # 1: the reader of a help text has gone, as that of `| head -1`
+        code = 0 if ended.code == 1 else ended.code
     return int(code or 0)
 
 
@@ -68,10 +70,7 @@ def _version(is_set: bool) -> None:
 @app.callback()
 def _options(
     version: Annotated[
-        bool,
-        typer.Option(
-            "--version", callback=_version, is_eager=True, metavar=NO_VALUE, help="Show the version and exit."
-        ),
+        bool, typer.Option("--version", callback=_version, is_eager=True, metavar=NO_VALUE, help="Show the version.")
     ] = False,
 ) -> None:
     """Drone mapping of steel structures: recorded flights and point clouds."""

@@ -6,7 +6,6 @@ from typing import cast
 
 from steelnb.core.arguments import checks_arguments
 from steelnb.core.cache import cached
-from steelnb.core.errors import InputError
 from steelnb.core.estimates import Estimate
 from steelnb.core.range_scans import RangeScans
 from steelnb.core.types import Flight, Imu, Trajectory
@@ -153,8 +152,7 @@ def draws(settings: ExperimentSettings, count: int) -> Iterator[tuple[Experiment
 
     Draw 0 is that of the settings themselves. Rays are cast once. Raises `InputError` for a sensor with faults and for
     a planned flight, whose scans depend on the noise in other ways."""
-    if settings.tof.faults or settings.flight.trajectory == "planned":
-        raise InputError("draws of the noise: expected a sensor without faults and a flight that is not planned")
+    settings.check_draws()
     exact, truth = simulate(settings.replace(tof=noise_free(settings.tof)))
     for draw in range(settings.tof.draw, settings.tof.draw + count):
         drawn = settings.override({"tof.draw": draw})

@@ -9,8 +9,6 @@ import os
 import pytest
 from hypothesis import settings
 
-import workflow  # noqa: F401 before nbformat: what it leaves out takes seconds to import
-
 settings.register_profile("same", derandomize=True, deadline=None)
 settings.register_profile("random", derandomize=False, deadline=None)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "same"))

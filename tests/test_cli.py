@@ -1,5 +1,6 @@
 """The command line: its output, and that bad input gives one line, exit code 2 and no partial output."""
 
+import os
 import shutil
 import subprocess
 import sys
@@ -210,6 +211,16 @@ def test_version_help_and_names(capsys: pytest.CaptureFixture[str]) -> None:
     assert all(command in shown for command in ("run", "record", "segment", "Exit codes"))
     assert cli.METHODS == settings.METHODS
     assert cli.TRAJECTORIES == settings.TRAJECTORIES
+
+
+def test_a_help_text_that_nobody_reads_to_its_end_is_no_error() -> None:
+    for command in ([], ["run"]):
+        reader, writer = os.pipe()
+        os.close(reader)
+        command = [sys.executable, "-m", "steelnb", *command, "--help"]
+        done = subprocess.run(command, stdout=writer, stderr=subprocess.PIPE)
+        os.close(writer)
+        assert (done.returncode, done.stderr) == (0, b"")
 
 
 def test_help_loads_nothing_heavy() -> None:

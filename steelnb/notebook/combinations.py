@@ -86,7 +86,9 @@ def _experiments(values: Values) -> None:
         planner_cases(**_given(values, "flights", "noise", "method", "sensor", "seed", "duration_s", "overrides"))
     elif methods := _flown(values):
         given = _given(values, "noise", "sensor", *WORLD)
-        with_earlier_runs(report_cases(_all(values["trajectory"]), methods=methods, **given))
+        for case in with_earlier_runs(report_cases(_all(values["trajectory"]), methods=methods, **given)):
+            if "draws" in values:
+                case.check_draws()
     else:
         for each in _combinations(values):
             ExperimentSettings.preset(**each)

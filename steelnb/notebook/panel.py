@@ -13,7 +13,7 @@ from steelnb.hough.lines import default_dx
 from steelnb.hough.whole_structure.search import MIN_VOTES, segment_structure
 from steelnb.metrics import paired_clouds
 from steelnb.notebook.runs import Flights
-from steelnb.notebook.tables import case_of
+from steelnb.notebook.tables import title
 from steelnb.plots import COLOURS, LABELS
 from steelnb.plots.flight import figure_flight
 from steelnb.plots.scene3d import HEIGHT_PX, figure_scene, plotly_bundle
@@ -40,10 +40,9 @@ class ShownFlight:
     def picture(self) -> plots.Figure:
         """The scene as a static figure (`plots.flight.figure_flight`)."""
         method = self.result.settings.odometry.method
-        title = "{trajectory} flight, {noise}, sensor {sensor}, seed {seed}".format_map(case_of(self.result.settings))
         names = {"drifting": "none", "corrected": method}
         paths = {LABELS[name]: (self.paths[path], COLOURS[name]) for path, name in names.items()}
-        return figure_flight(paths, self.paths["true"], self.cloud, self.segments, title)
+        return figure_flight(paths, self.paths["true"], self.cloud, self.segments, title(self.result.settings))
 
 
 class Panel:

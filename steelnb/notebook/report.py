@@ -1,11 +1,12 @@
 """The curves of the report's plots, beside those of runs."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from functools import cache
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
+from matplotlib.axes import Axes
 
 from steelnb import experiment
 from steelnb.core.errors import InputError
@@ -14,6 +15,7 @@ from steelnb.metrics import position_error_m
 from steelnb.notebook.cases import plot_of
 from steelnb.notebook.results import find_root
 from steelnb.notebook.tables import CASE_COLUMNS, case_of, cloud_table
+from steelnb.plots.style import log_axis
 from steelnb.settings import Noise
 from steelnb.settings.report_plots import STEP_S, ReportPlot, read_report_plots
 from steelnb.simulation.noise import drift_size
@@ -21,7 +23,7 @@ from steelnb.simulation.noise import drift_size
 REPORT_FIGURE = {"vertical": "3_2", "orbit": "3_3", "random-walk": "3_5", "constant-drift": "3_6"}
 """The report's figure, as in file names: by flight for segment odometry, by noise for point-cloud odometry."""
 FLOOR_M = 0.005
-"""Where the axes of the report's errors begin (`error_floor_m`)."""
+"""Where the axes of the report's errors begin (`log_errors`)."""
 REPORT_CURVES = Path("notebooks", "report-curves.csv")
 """The curves of the report's plots, read off its PDF. The path is relative to the root of the project."""
 
@@ -106,9 +108,11 @@ def curves(results: Sequence[experiment.Result]) -> pd.DataFrame:
     return pd.concat(parts, ignore_index=True)
 
 
-def error_floor_m(curves: pd.DataFrame) -> float:
-    """Where a logarithmic axis of `curves` begins: at `FLOOR_M`, or at a tenth of the lowest curve's largest error
-    if that is lower."""
-    above_0 = curves[curves["error_m"] > 0]
-    largest = above_0.groupby([*CASE_COLUMNS, "curve"])["error_m"].max()
-    return min(FLOOR_M, 0.1 * float(largest.min()))  # FLOOR_M for NaN
+def log_errors(panels: Iterable[Axes], curves: pd.DataFrame) -> None:
+    """Make the axes of the errors of some `curves` logarithmic. They begin at `FLOOR_M`, or at a tenth of the lowest
+    curve's largest error if that is lower; at 0, if a curve is 0 throughout."""
+    largest = curves.groupby([*CASE_COLUMNS, "curve"])["error_m"].max()
+    low, with_0 = min(FLOOR_M, 0.1 * float(largest[largest > 0].min())), (largest == 0).any()  # FLOOR_M for NaN
+    for panel in panels:
+        log_axis(panel, "y", low, with_0)
+        panel.set_ylim(-0.2 * low if with_0 else low)

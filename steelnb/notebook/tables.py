@@ -9,11 +9,12 @@ import numpy as np
 import pandas as pd
 
 from steelnb import experiment
-from steelnb.settings import ExperimentSettings, LoamSettings, RegistrationSettings, ReportCloudSettings
-from steelnb.settings.presets import members_file
+from steelnb.settings import ExperimentSettings, LoamSettings, RegistrationSettings, ReportCloudSettings, TowerSettings
+from steelnb.settings.presets import TOWERS, members_file
 
 CASE_COLUMNS = ("trajectory", "noise", "method", "sensor", "seed")
 """The columns of `case_of`."""
+TITLE = "{trajectory} flight, {noise}, sensor {sensor}, seed {seed}"
 CLOUD_CASE = ("trajectory", "noise", "method", "map")
 """Columns that identify a run of a point-cloud odometry."""
 UNITS = {name: name for name in ("m", "cm", "mm", "s", "ms", "rad")} | {"deg": "°", "share": "share"}
@@ -55,6 +56,13 @@ def tower_name(settings: ExperimentSettings) -> str:
     if not (members := settings.tower.members):
         return ""
     return f"{Path(members).stem} {hashlib.sha256(members_file(members).read_bytes()).hexdigest()[:8]}"
+
+
+def title(settings: ExperimentSettings, words: str = TITLE) -> str:
+    """A figure's title: ``words`` with the columns of `case_of`, and the tower if it is not the flight's own."""
+    own = TowerSettings.of_flight(settings.flight.trajectory)
+    names = {TowerSettings.preset(name): f", tower {name}" for name in TOWERS} | {own: ""}
+    return words.format_map(case_of(settings)) + names.get(settings.tower, ", a tower of your own")
 
 
 def map_kind(settings: ExperimentSettings) -> str:

@@ -10,7 +10,7 @@ import seaborn as sns
 from matplotlib.lines import Line2D
 
 from steelnb.core.errors import InputError
-from steelnb.plots.style import BLACK, COLOURS, DRIFT, GREY, LABELS, gather_legend
+from steelnb.plots.style import BLACK, COLOURS, DRIFT, GREY, LABELS, gather_legend, log_axis
 
 WIDE = 100.0
 """Ratio of values above which `forest` uses a logarithmic scale."""
@@ -49,9 +49,13 @@ def error_dots(runs: pd.DataFrame, case: str, methods: Sequence[str], **facets: 
     means = {"dodge": dodge or False, "errorbar": None, "palette": "dark:black", "legend": False}
     grid.map_dataframe(sns.pointplot, **means, **mean, **dots)
     grid.map_dataframe(_draw_drift, case=case, order=dots["order"])
-    grid.set(xscale="log", xlabel="ATE, root mean square (cm)", ylabel="", ylim=(len(dots["order"]) - 0.5, -0.5))
+    errors_cm = rows["ate_cm"]
+    for panel in grid.axes.flat:
+        log_axis(panel, "x", min(1.0, errors_cm[errors_cm > 0].min()), (errors_cm == 0).any())
+    grid.set(xlabel="ATE, root mean square (cm)", ylabel="", ylim=(len(dots["order"]) - 0.5, -0.5))
     panel = grid.axes.flat[0]
-    panel.set_yticks(range(len(dots["order"])), [LABELS.get(name, name) for name in dots["order"]])
+    names = LABELS if case == "method" else {}
+    panel.set_yticks(range(len(dots["order"])), [names.get(name, name) for name in dots["order"]])
     for name in methods if case != "method" else ():
         panel.plot([], [], "o", color=COLOURS[name], label=name)
     panel.plot([], [], color=BLACK, label="mean", **mean)

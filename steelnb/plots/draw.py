@@ -129,6 +129,7 @@ def figure_clouds(clouds: Mapping[str, tuple[Array, Array]]) -> Figure:
     ``clouds``: method → built and true points ``(N, 3)``, metres. Black stays visible where no built point covers it.
     """
     everything = np.concatenate([cloud for pair in clouds.values() for cloud in pair])
+    everything = everything if len(everything) else np.zeros((1, 3))
     low, high = np.quantile(everything, MOST, axis=0) + np.array([[-0.4], [0.4]])
     wide, tall = (high - low)[:2], (high - low)[2]
     scale = min(6.0 / tall, 3.2 / wide.sum())  # inches per metre
@@ -141,7 +142,7 @@ def figure_clouds(clouds: Mapping[str, tuple[Array, Array]]) -> Figure:
                 panel.scatter(x, z, s=0.7, color=COLOURS[name], lw=0, rasterized=True)
             panel.set(aspect="equal", xlabel=f"{'xy'[across]} (m)", ylabel="" if across or k else "z (m)")
             panel.set(xlim=(low[across], high[across]), ylim=(low[2], high[2]))
-        panels[2 * k].set_title(LABELS[method], loc="left")
+        panels[2 * k].set_title(LABELS[method] + ("" if len(built) else ": no points"), loc="left")
         panels[0].plot([], [], "o", color=COLOURS[method], label=LABELS[method])
     panels[0].plot([], [], "o", color=COLOURS["truth"], label="at the true poses")
     gather_legend(figure, ncols=5)

@@ -8,6 +8,7 @@ from typing import Any
 import matplotlib.figure
 import matplotlib.style
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.font_manager import FontProperties, findfont, get_font
@@ -141,6 +142,13 @@ def gather_legend(figure: matplotlib.figure.Figure, loc: str = "outside lower ce
         figure.set_layout_engine("constrained")
     options: dict[str, Any] = {"loc": loc, **more}
     figure.legend(list(handles.values()), list(handles), **options)
+
+
+def log_axis(panel: Axes, axis: str, low: float, with_0: bool) -> None:
+    """Make an ``axis``, x or y, logarithmic. For values that are 0, ``with_0``, it is linear below about ``low``."""
+    linear = {"linthresh": 10.0 ** np.round(np.log10(low)), "linscale": 0.5}  # ends at a tick
+    scale: dict[str, Any] = {"value": "symlog", **linear} if with_0 else {"value": "log"}
+    getattr(panel, f"set_{axis}scale")(**scale)
 
 
 def gather_bar(figure: matplotlib.figure.Figure, label: str, highest: float) -> None:

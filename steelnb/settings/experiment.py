@@ -80,6 +80,11 @@ class ExperimentSettings(Settings):
                 " two scans"
             )
 
+    def check_draws(self) -> None:
+        """Raise `InputError` if the sensor has faults or the flight is planned: there are no draws on one flight."""
+        if self.tof.faults or self.flight.trajectory == "planned":
+            raise InputError("draws of the noise: expected a sensor without faults and a flight that is not planned")
+
     @property
     def noise(self) -> Noise:
         """The drift that ``noise_name`` names."""
@@ -107,19 +112,18 @@ class ExperimentSettings(Settings):
         >>> settings.tof.rate_hz, settings.odometry.dof
         (10.0, 'xyz_yaw')
         """
-        odometry = OdometrySettings.preset(method, sensor)
-        flight, imu = FlightSettings.preset(trajectory, duration_s), ImuSettings.preset(sensor)
-        if imu and trajectory in ("zigzag", "loops"):
-            flight = flight.replace(still_s=REST_S)
+        odometry, imu = OdometrySettings.preset(method, sensor), ImuSettings.preset(sensor)
         overrides = {} if overrides is None else overrides
         given = {"trajectory": trajectory, "noise": noise, "seed": seed, "duration_s": duration_s, "tower": tower}
         check_given_once(overrides, {name: None if _is_usual(name, value) else value for name, value in given.items()})
+        of_flight = {"still_s": REST_S} if imu and trajectory in ("zigzag", "loops") else {}
+        of_flight |= {name[7:]: value for name, value in _of_flight(overrides).items()}
         settings = cls.model_construct(  # checked when they are changed
             sensor=sensor,
             noise_name=noise,
             seed=seed,
             tower=TowerSettings.of_flight(trajectory) if tower is None else TowerSettings.preset(tower),
-            flight=flight,
+            flight=FlightSettings.preset(trajectory, duration_s, of_flight),
             tof=TofSettings.preset(sensor),
             imu=imu,
             odometry=odometry,
@@ -151,15 +155,15 @@ class ExperimentSettings(Settings):
         ('report', 'random-walk', 202)
         """
         plot = ReportPlot.find(figure, trajectory, method, run)
+        overrides = {} if overrides is None else overrides
+        own = {"tof.samples": plot.name} | ({} if plot.still_s is None else {"flight.still_s": plot.still_s})
+        usual_s = overridden(overrides, ARGUMENTS["duration_s"], plot.duration_s)
         settings = cls.preset(
             plot.flight or plot.trajectory, noise or plot.noise, odometry or method, sensor, seed,  # type: ignore[arg-type]
-            plot.duration_s if duration_s is None else duration_s, {"tof.samples": plot.name}, tower,
+            usual_s if duration_s is None else duration_s, own | _of_flight(overrides), tower,
         )  # fmt: skip
-        if plot.still_s is not None:
-            settings = settings.override({"flight.still_s": plot.still_s})
         if isinstance(settings.odometry, ReportCloudSettings):
             settings = settings.override({"broken_off_s": plot.broken_off_s})
-        overrides = {} if overrides is None else overrides
         seed_given = None if _is_usual("seed", seed) else seed
         given = {"noise": noise, "seed": seed_given, "duration_s": duration_s, "tower": tower}
         check_given_once(overrides, {"trajectory": settings.flight.trajectory, **given})
@@ -198,7 +202,7 @@ def _is_usual(name: str, value: Any) -> bool:
     """Whether an argument may have this value because none was given."""
     if name == "seed":
         return isinstance(value, str) or (isinstance(value, numbers.Integral) and value == SEED)
-    return (name, value) in (("trajectory", "zigzag"), ("noise", "random-walk"))
+    return isinstance(value, str) and (name, value) in (("trajectory", "zigzag"), ("noise", "random-walk"))
 
 
 def overridden(overrides: Mapping[str, Any], name: str, value: Any) -> Any:
@@ -207,6 +211,12 @@ def overridden(overrides: Mapping[str, Any], name: str, value: Any) -> Any:
     whole = overrides.get(table)
     inner = whole if setting and isinstance(whole, dict) else {}
     return overrides.get(name, inner.get(setting, value))
+
+
+def _of_flight(overrides: Mapping[str, Any]) -> dict[str, Any]:
+    """The overrides of single settings of the flight."""
+    checked_kind(overrides, "overrides", dict)
+    return {name: value for name, value in overrides.items() if str(name).startswith("flight.")}
 
 
 def check_given_once(overrides: dict[str, Any], arguments: Mapping[str, Any]) -> None:

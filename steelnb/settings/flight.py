@@ -1,6 +1,7 @@
 """Settings of the simulated flight. Lengths in metres, times in seconds."""
 
-from typing import Annotated, Literal, Self
+from collections.abc import Mapping
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, model_validator
 
@@ -66,9 +67,11 @@ class FlightSettings(Settings):
         return self
 
     @classmethod
-    def preset(cls, trajectory: TrajectoryName, duration_s: float | None = None) -> "FlightSettings":
-        """A flight of ``presets/flights.toml``, by name. Default duration: the preset's, else the time of the last
-        waypoint, else 200 s. Raises `InputError`."""
+    def preset(
+        cls, trajectory: TrajectoryName, duration_s: float | None = None, changes: Mapping[str, Any] | None = None
+    ) -> "FlightSettings":
+        """A flight of ``presets/flights.toml``, by name, with some ``changes``. Default duration: the preset's, else
+        the time of its last waypoint, else 200 s. Raises `InputError`."""
         values = dict(preset_table("flights", "trajectory", trajectory))
         del values["tower"]
         if duration_s is not None:
@@ -76,4 +79,4 @@ class FlightSettings(Settings):
         elif "waypoints" in values:
             end_s = values.get("still_s", 0.0) + sum(seconds for *_, seconds in values["waypoints"])
             values.setdefault("duration_s", end_s)
-        return cls(trajectory=trajectory, **values)
+        return cls(**{"trajectory": trajectory, **values, **(changes or {})})

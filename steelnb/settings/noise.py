@@ -15,7 +15,7 @@ class Noise:
     ``random_walk_m``: standard deviation of the step per axis (the report's Algorithm 1); ``constant_drift_m``: length
     of the constant step vector (0.83 of this with the seed ``report``); ``yaw_random_walk_rad``: standard deviation of
     the heading step; ``tilt_rad``: standard deviation of the slowly varying errors of roll and pitch, not in the
-    report. Angles are at most π.
+    report. Angles are at most π, lengths 1 km.
     """
 
     random_walk_m: float = 0.0
@@ -26,7 +26,7 @@ class Noise:
     def __post_init__(self) -> None:
         for name, level in vars(self).items():
             try:
-                checked_number(level, f"Noise.{name}", 0, math.pi if name.endswith("_rad") else math.inf)
+                checked_number(level, f"Noise.{name}", 0, math.pi if name.endswith("_rad") else 1000.0)
             except InputError as fault:
                 raise InputError(f"{fault} {'rad' if name.endswith('_rad') else 'm'}") from None
 

@@ -8,7 +8,6 @@ from typing import Annotated, Literal, Self
 
 import numpy as np
 from pydantic import Field, model_validator
-from scipy.spatial.transform import Rotation
 
 from steelnb.core.types import Array, IntArray
 from steelnb.settings.base import Finite, NotNegative, Positive, Settings
@@ -42,6 +41,8 @@ class CameraSettings(Settings):
     @property
     def T_drone_sensor(self) -> Array:
         """The mount ``(4, 4)``; roll, pitch and yaw are about fixed axes (REP 103)."""
+        from scipy.spatial.transform import Rotation  # half of the time to import the settings
+
         T = np.eye(4)
         T[:3, :3] = Rotation.from_euler("xyz", self.mount_rpy_deg, degrees=True).as_matrix()
         T[:3, 3] = self.mount_m

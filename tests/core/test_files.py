@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from steelnb.core.errors import InputError, OutputError
-from steelnb.core.files import check_folder, new_file, new_folder, reading
+from steelnb.core.files import check_folder, check_writable, new_file, new_folder, reading
 
 
 def files_below(folder: Path) -> dict[str, str]:
@@ -52,6 +52,14 @@ def test_an_interruption_changes_nothing(tmp_path: Path, fault: BaseException, e
         (folder / "a").write_text("half")
         raise fault
     assert files_below(tmp_path) == before
+
+
+def test_a_name_that_is_too_long_is_refused_before_any_work(tmp_path: Path) -> None:
+    for target in (tmp_path / ("a" * 300), tmp_path / ("a" * 300) / "below"):
+        with pytest.raises(OutputError, match="cannot be written: File name too long"):
+            check_writable(target)
+        with pytest.raises(OutputError, match="cannot be written: File name too long"), new_folder(target):
+            raise AssertionError("begun")
 
 
 def test_an_unwritable_folder_is_one_line(tmp_path: Path) -> None:

@@ -70,7 +70,7 @@ def test_without_a_writable_place_the_package_works(tmp_path):
     for folder in {file.parent for file in (tmp_path / "steelnb").rglob("*.py")}:
         (folder / "__pycache__").write_text("")  # not even root can write to such a folder
     code = """if True:
-        import numpy as np, steelnb.notebook.study
+        import numpy as np, ROOM
         from steelnb.core.cache import cached
         from steelnb.core.types import Segments
         from steelnb.hough.freedom import nearest_bar
@@ -78,10 +78,12 @@ def test_without_a_writable_place_the_package_works(tmp_path):
         print(steelnb.__file__)
     """
     nowhere = {"PYTHONPATH": "", "HOME": "/dev/null", "STEELNB_CACHE": "/dev/null/cache", "TMPDIR": str(tmp_path)}
-    for kept in (f"it is kept in {tmp_path}/steelnb-", "it is compiled anew in every process"):
-        done = subprocess.run(
-            [sys.executable, "-c", code], capture_output=True, text=True, env={**os.environ, **nowhere}, cwd=tmp_path
-        )
+    for room, kept in (
+        ("steelnb.notebook.study", f"it is kept in {tmp_path}/steelnb-"),
+        ("steelnb.hough", "it is compiled anew in every process"),
+    ):
+        command = [sys.executable, "-c", code.replace("ROOM", room)]
+        done = subprocess.run(command, capture_output=True, text=True, env={**os.environ, **nowhere}, cwd=tmp_path)
         assert (done.returncode, done.stdout) == (0, f"{tmp_path}/steelnb/__init__.py\n"), done.stderr
         assert done.stderr.count("no writable cache") == done.stderr.count(kept) == 1
         assert done.stderr.count("/dev/null/cache: nothing is cached here") == 1

@@ -39,7 +39,7 @@ def test_surfaces_have_no_bars_and_scattered_points_few(name):
 @pytest.mark.parametrize("radius_m", [0.05, 0.1, 0.2])
 def test_upright_cylinders_of_any_width_are_bars(radius_m):
     rng = np.random.default_rng(3)
-    points = [sheet(12.0, 12.0, per_m2=1500) - [3.0, 3.0, 0.0]]
+    points = [sheet(7.0, 7.0, per_m2=1500) - [2.0, 2.0, 0.0]]
     for x, y in [(0.0, 0.0), (3.0, 0.0), (0.0, 3.0), (3.0, 3.0)]:
         turn = rng.uniform(0, 2 * np.pi, int(2 * np.pi * radius_m * 8 * 2000))
         circle = radius_m * np.column_stack([np.cos(turn), np.sin(turn)]) + [x, y]
@@ -62,7 +62,7 @@ def test_a_pipe_that_is_seen_from_one_side_is_one_bar(radius_m, per_m2):
 
 @pytest.mark.parametrize("voxel_m", [0.04, 0.1])
 def test_a_cloud_that_was_thinned_by_a_voxel_filter_has_the_same_bars(voxel_m):
-    points = np.concatenate([scanned(TOWER, 1500, 0.08, 0.01), sheet(10.0, 10.0) - [5.0, 5.0, 0.0]])
+    points = np.concatenate([scanned(TOWER, 1500, 0.08, 0.01), sheet(7.0, 7.0) - [3.5, 3.5, 0.0]])
     found = bars_of_cloud(voxel_grid(points, voxel_m))
     match = match_members(found.bars, TOWER)
     assert match.right.mean() >= 0.95
@@ -74,9 +74,9 @@ def test_a_cloud_that_was_thinned_by_a_voxel_filter_has_the_same_bars(voxel_m):
 def test_each_member_is_one_bar_with_ground_or_a_wall_beside(beside):
     points = scanned(TOWER, 1500, 0.08, 0.005)
     if beside == "ground":
-        points = np.concatenate([points, sheet(10.0, 10.0) - [5.0, 5.0, 0.0]])
+        points = np.concatenate([points, sheet(7.0, 7.0) - [3.5, 3.5, 0.0]])
     if beside == "wall":
-        points = np.concatenate([points, sheet(10.0, 8.0)[:, [0, 2, 1]] + [-5.0, 3.0, 0.0]])
+        points = np.concatenate([points, sheet(7.0, 7.0)[:, [0, 2, 1]] + [-3.5, 3.0, 0.0]])
     found = bars_of_cloud(points)
     match = match_members(found.bars, TOWER)
     assert match.right.mean() >= 0.95
@@ -150,7 +150,7 @@ def test_wide_columns_beside_narrow_pipes_are_bars(radius_m):
     rng = np.random.default_rng(2)
     columns = [((x, y, 0), (x, y, 5)) for x in (0, 6) for y in (0, 6)]
     pipes = [((0.5, y, z), (5.5, y, z)) for y in (0, 6) for z in (1.5, 2.5, 3.5)]
-    ground = sheet(10.0, 10.0, per_m2=1200) - [-3.0, -3.0, 0.0] - [5.0, 5.0, 0.0]
+    ground = sheet(8.0, 8.0, per_m2=1200) - [1.0, 1.0, 0.0]
     cloud = np.concatenate([rods(rng, *columns, radius_m=radius_m), rods(rng, *pipes, radius_m=0.05), ground])
     match = match_members(bars_of_cloud(cloud).bars, np.array(columns + pipes, dtype=float))
     assert {*match.member} == set(range(10))
@@ -238,7 +238,7 @@ def test_members_that_continue_a_surface_in_its_plane_keep_their_length(beyond, 
 
 def test_ground_that_is_rougher_and_sparser_than_the_steel_does_not_set_the_tube():
     rng = np.random.default_rng(6)
-    ground = sheet(16.0, 16.0, per_m2=400) - [8.0, 8.0, 0.0]
+    ground = sheet(10.0, 10.0, per_m2=400) - [5.0, 5.0, 0.0]
     ground[:, 2] += 0.04 * rng.normal(size=len(ground))
     points = np.concatenate([ground, scanned(TOWER, 1500, 0.08, 0.01)])
     found = bars_of_cloud(voxel_grid(points, 0.1))

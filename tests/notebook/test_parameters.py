@@ -96,6 +96,8 @@ def test_every_parameter_of_every_notebook_refuses_what_it_cannot_be(path: Path)
         ("02", {"correction": []}, ["correction = []", "at least 1"]),
         ("02", {"correction": ["none"]}, ["correction = 'none'", "'average'"]),
         ("02", {"draws": 1}, ["draws = 1"]),
+        ("02", {"sensor": "starling2-honest"}, ["draws of the noise", "a sensor without faults"]),
+        ("02", {"noise": "random-walk:1e300", "seed": 1}, ["random_walk_m = 1e+300", "from 0 to 1000 m"]),
         ("02", {"trajectory": "zigzag"}, ["'zigzag'", "'average' on 'orbit'"]),
         ("02", {"duration_s": 1e-3}, ["duration_s = 0.001", "expected two scans"]),
         ("03", {"drawn": ["smoothed"]}, ["drawn = 'smoothed'", "'report-gicp'"]),
@@ -151,6 +153,8 @@ def test_what_cannot_be_flown_or_drawn_is_refused(notebook: str, given: dict, wo
         ("02", {"overrides": {"flight.duration_s": 25.0, "seed": "report"}}),
         ("05", {"methods": {"gicp": ["gicp"]}, "mapped": ["gicp"], "drawn": ["gicp"],
                 "overrides": {"max_correspondence_m": 0.2}}),
+        ("02", {"duration_s": 900.0,
+                "overrides": {"flight.waypoints": [[0.5, 2.5, 0.1, -90.0, 0.0], [0.5, 2.5, 2.0, -90.0, 999.0]]}}),
         ("07", {"seeds": [5], "overrides": {"seed": 5, "tower": "tapered"}}),
         ("11", {"flights": ["loops", "planned"], "overrides": {"flight.standoff_m": 3.0}}),
     ],
@@ -259,8 +263,8 @@ def test_what_papermill_injects_takes_the_type_of_its_default(shell: Interactive
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 def test_every_notebook_validates_its_parameters_before_anything_else(path: Path) -> None:
     code = [cell.source for cell in nbformat.read(path, 4).cells if cell.cell_type == "code"]
-    statements = [node for node in ast.parse(code[1]).body if not isinstance(node, ast.Import | ast.ImportFrom)]
-    assert ast.unparse(statements[0]) == "parameters.validate()"
+    first = [ast.unparse(node) for node in ast.parse(code[1]).body[:2]]
+    assert first == ["from steelnb.notebook import parameters", "parameters.validate()"]
 
 
 def test_papermill_alone_ends_in_one_clear_error(tmp_path: Path) -> None:

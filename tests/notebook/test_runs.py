@@ -150,10 +150,24 @@ def test_a_legend_of_bands_names_the_curves_that_are_there(curves):
 def test_an_axis_of_errors_shows_every_curve():
     case = dict.fromkeys(tables.CASE_COLUMNS, "x")
     curves = pd.DataFrame([{**case, "curve": name, "error_m": m} for name, m in (("a", 0.0), ("a", 0.07), ("b", 0.3))])
-    assert report.error_floor_m(curves) == 0.005
-    curves.loc[1, "error_m"] = 0.002
-    assert report.error_floor_m(curves) == pytest.approx(0.0002)
-    assert report.error_floor_m(curves[:1]) == 0.005, "no error is above 0"
+
+    def begins_m(curves):
+        panel = plt.figure().add_subplot()
+        report.log_errors([panel], curves)
+        assert np.isfinite(panel.transScale.transform(curves[["error_m"] * 2])[1:]).all()
+        return panel.get_ylim()[0]
+
+    assert begins_m(curves) == 0.005
+    assert begins_m(curves.assign(error_m=[0, 0.002, 0.3])) == pytest.approx(0.0002)
+    assert begins_m(curves.assign(error_m=[0, 0, 0.3])) < 0, "a curve that is 0 throughout is shown"
+    assert begins_m(curves[:1]) < 0
+
+
+def test_a_title_names_a_tower_that_is_not_the_flight_s_own():
+    own = ExperimentSettings.preset("loops", seed=3)
+    assert tables.title(own) == "loops flight, random-walk, sensor starling2, seed 3"
+    assert tables.title(own.override({"tower": "heavy"}), "{noise}") == "random-walk, tower heavy"
+    assert tables.title(own.override({"tower.section": "round"}), "{noise}") == "random-walk, a tower of your own"
 
 
 def test_the_report_s_seed_has_drifts_of_the_report_s_noises_alone():

@@ -90,6 +90,23 @@ def test_rows_of_methods_are_named_as_in_the_legends_of_other_figures():
     assert [tick.get_text() for tick in grid.axes.flat[0].get_yticklabels()] == [plots.LABELS[each] for each in methods]
 
 
+def test_an_error_of_0_is_drawn_and_a_noise_is_named_as_it_is():
+    rows = pd.DataFrame({"method": ["none", "best"], "case": pd.Categorical(["none"] * 2), "raw_ate_rmse_m": 0.0})
+    for best_m in (0.02, 0.0):
+        panel = error_dots(rows.assign(ate_rmse_m=[0.0, best_m]), "case", ["none", "best"]).axes.flat[0]
+        left, right = panel.get_xlim()
+        assert left < 0 <= 100 * best_m < right
+        assert [tick.get_text() for tick in panel.get_yticklabels()] == ["none"]
+
+
+def test_clouds_without_points_are_drawn_and_say_so():
+    nothing, point = np.zeros((0, 3)), np.ones((1, 3))
+    for true in (nothing, point):
+        figure = plots.figure_clouds({"icp": (nothing, true), "best": (point, true)})
+        assert [panel.get_title(loc="left") for panel in figure.axes[::2]] == ["ICP: no points", "best"]
+    plots.figure_clouds({"icp": (nothing, nothing)})._repr_png_()
+
+
 def test_a_figure_without_runs_says_so_and_a_study_without_runs_is_refused():
     rows = pd.DataFrame({"method": ["best"], "case": pd.Categorical(["x"]), "flight": "orbit", "ate_rmse_m": 0.1})
     grid = error_dots(rows[:0], "case", ["best"], col="flight", col_order=["vertical", "orbit"])

@@ -182,6 +182,12 @@ def test_a_flight_that_contradicts_its_waypoints_is_refused(changes, says):
     assert "\n" not in str(caught.value)
 
 
+def test_a_duration_may_end_with_waypoints_of_ones_own():
+    path = ((0.5, 2.5, 0.1, -90.0, 0.0), (0.5, 2.5, 2.0, -90.0, 900.0))
+    own = ExperimentSettings.preset("vertical", duration_s=900.0, overrides={"flight.waypoints": path})
+    assert (own.flight.duration_s, own.flight.waypoints) == (900.0, path)
+
+
 @pytest.mark.parametrize(
     ("noise", "says"),
     [
