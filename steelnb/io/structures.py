@@ -21,7 +21,7 @@ COLUMNS = (
 
 @checks_arguments
 def write_segments(
-    path: Path | str, segments: Segments, sigma_m: Array | None = None, more: Mapping[str, Array] | None = None
+    segments: Segments, path: Path | str, sigma_m: Array | None = None, more: Mapping[str, Array] | None = None
 ) -> None:
     """Write one CSV row per segment, metres, rounded to 0.1 mm.
 

@@ -203,7 +203,7 @@ def draw(
 def write(folder: Path, found: Corrected, numbers: Mapping[str, float], origin: dict[str, str]) -> None:
     """Write the poses, tables and map of `FILES`. ``origin``: names of the recording and of the method."""
     write_tum(folder / "corrected.tum", found.estimate.corrected)
-    write_segments(folder / "segments.csv", found.segments, _sigma_m(found.estimate, found.segments))
+    write_segments(found.segments, folder / "segments.csv", _sigma_m(found.estimate, found.segments))
     write_structure(found.structure, folder / "structure.json", origin)
     if len(found.points):
         write_map(folder / "map.ply", found.points, found.bar)

@@ -93,7 +93,7 @@ def segment_file(
         explained = float(within(cloud.points[off], bars, dx).mean()) if off.any() else 0.0
         segments = bars.moved(cloud.origin)
         columns = {"width_m": found.width_m.round(3), "freedom": found.freedom.round(2)}
-        write_segments(folder / "segments.csv", segments, more=columns)
+        write_segments(segments, folder / "segments.csv", more=columns)
         title = f"{display_name(path)}: {len(bars)} bars, {bars.length.sum():.1f} m"
         figure_bars(cloud.points, bars, title, ~off, found.freedom).savefig(folder / "segments.png", dpi=150)
         if scene:

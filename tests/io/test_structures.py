@@ -15,7 +15,7 @@ SEGMENTS = Segments(START, END, np.array([900, 400]), np.array([0.02, 0.0123456]
 
 
 def test_each_segment_has_a_row(tmp_path: Path) -> None:
-    write_segments(tmp_path / "a.csv", SEGMENTS, np.array([[0.001, 0.002], [0.003, 0.004]]))
+    write_segments(SEGMENTS, tmp_path / "a.csv", np.array([[0.001, 0.002], [0.003, 0.004]]))
     table = pd.read_csv(tmp_path / "a.csv")
     np.testing.assert_array_equal(table.filter(regex="^start"), START)
     assert table[["length_m", "count", "radius_m"]].to_numpy().tolist() == [[4.0, 900, 0.02], [3.0, 400, 0.0123]]
