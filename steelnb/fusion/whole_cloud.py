@@ -83,11 +83,11 @@ def bars_of_cloud(
     return found.of_structures(points)
 
 
-Search = Callable[[Array, float], CloudBars]
+TubeSearch = Callable[[Array, float], CloudBars]
 """Points, and the radius of the tubes → their bars."""
 
 
-def _in_narrower_tubes(points: Array, found: CloudBars, least_m: float, search: Search) -> CloudBars:
+def _in_narrower_tubes(points: Array, found: CloudBars, least_m: float, search: TubeSearch) -> CloudBars:
     """The bars, and those of objects beside them that narrower tubes explain: masts whose members are close together,
     and models. Tubes are at least as wide as ``least_m``, and as an object's points are apart."""
     rest, slim = found.off(points), found
@@ -97,15 +97,20 @@ def _in_narrower_tubes(points: Array, found: CloudBars, least_m: float, search: 
         narrowest_m = max(least_m, DX_PER_SPACING * spacing(each, 4))
         tubes = (found.tube_m * multiple for multiple in NARROWER)
         tries = (search(each, tube_m) for tube_m in tubes if tube_m >= narrowest_m)
-        more = next((bars for bars in tries if bars.share_off(each) < REST_MIN), None)
-        slim = slim.joined(more) if more is not None else slim
+        best, least = None, REST_MIN
+        for bars in tries:
+            if (share := bars.share_off(each)) < least:
+                best, least = bars, share
+            if best is not None and (share > least or least < OFF_MIN):
+                break
+        slim = slim.joined(best) if best is not None else slim
     if len(found.bars) or not len(slim.bars):
         return slim
     whole = search(points, slim.tube_m)  # surfaces end nearer to slim members then
     return whole if whole.share_off(points) < REST_MIN else slim
 
 
-def _in_wider_tubes(points: Array, found: CloudBars, search: Search) -> CloudBars:
+def _in_wider_tubes(points: Array, found: CloudBars, search: TubeSearch) -> CloudBars:
     """The bars of wider tubes if those hold them, and else these, and wider ones among the points that they leave."""
     if not found.fit_tubes:
         tries = (search(points, multiple * found.tube_m) for multiple in WIDER)

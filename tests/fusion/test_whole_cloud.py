@@ -13,6 +13,7 @@ from tests.lattice import lattice, scanned
 from tests.points.test_surfaces import sheet
 
 TOWER = lattice(8, 4, 2, 3)
+STEEL = scanned(TOWER, 400, 0.08, 0.005)
 
 
 def sheets() -> dict[str, np.ndarray]:
@@ -246,3 +247,51 @@ def test_ground_that_is_rougher_and_sparser_than_the_steel_does_not_set_the_tube
     match = match_members(found.bars, TOWER)
     assert match.right.mean() >= 0.95
     assert len(np.unique(match.member[match.right])) >= 0.9 * len(TOWER)
+
+
+def tree(rng: np.random.Generator, x: float, y: float) -> np.ndarray:
+    """Trunk, branches and leaves."""
+    tips = [np.array([np.cos(turn), np.sin(turn), 0.8]) for turn in rng.uniform(0, 2 * np.pi, 12)]
+    starts = [np.array([x, y, height]) for height in rng.uniform(2.0, 4.5, 12)]
+    branches = [(start, start + rng.uniform(0.8, 1.6) * tip) for start, tip in zip(starts, tips, strict=True)]
+    leaves = rng.normal(size=(8_000, 3)) * [0.8, 0.8, 1.0] + [x, y, 4.5]
+    wood = [rods(rng, ((x, y, 0.0), (x, y, 5.0)), radius_m=0.1), rods(rng, *branches, radius_m=0.03)]
+    return np.concatenate([*wood, leaves[leaves[:, 2] > 1.5]])
+
+
+def around(points: np.ndarray, half_m: float) -> np.ndarray:
+    """The points on level ground."""
+    size = 2 * half_m
+    return np.concatenate([points, sheet(size, size, per_m2=800) - [half_m, half_m, 0.0]])
+
+
+@pytest.mark.parametrize(("face_m", "beside"), [(0.25, ""), (0.3, "a tree"), (0.4, "a tower")])
+def test_the_members_of_a_slim_mast_are_told_apart(face_m, beside):
+    mast, rng = lattice(4.0, face_m, face_m, round(4.0 / face_m)), np.random.default_rng(3)
+    bars, points = mast, scanned(mast, 1000, 0.02, 0.002)
+    if beside == "a tree":
+        points = np.concatenate([points, tree(rng, 3.0, 0.0)])
+    elif beside == "a tower":
+        bars, points = np.concatenate([mast, TOWER]), np.concatenate([points - [4.0, 0.0, 0.0], STEEL])
+        bars[: len(mast)] -= [4.0, 0.0, 0.0]
+    found = bars_of_cloud(around(points, 5.0))
+    match = match_members(found.bars, bars, distance_max_m=0.05)
+    assert match.right.mean() > 0.9
+    long = np.flatnonzero(np.linalg.norm(bars[:, 1] - bars[:, 0], axis=1) > 0.35)
+    assert len({*match.member[match.right]} & {*long}) >= 0.9 * len(long)
+
+
+def test_lines_in_a_tree_are_no_bars_and_those_of_a_tower_beside_it_are():
+    trees = tree(np.random.default_rng(3), 5.0, 0.0)
+    found = bars_of_cloud(around(np.concatenate([trees, STEEL]), 6.0))
+    match = match_members(found.bars, TOWER)
+    assert match.right.all()
+    assert len({*match.member}) == len(TOWER)
+    assert found.apart > 3
+
+
+def test_a_tower_among_trees_that_reach_into_it_keeps_its_bars():
+    rng = np.random.default_rng(3)
+    trees = [tree(rng, *place) for place in [(3.0, 0.0), (-2.5, 2.0), (0.0, -3.0)]]
+    match = match_members(bars_of_cloud(around(np.concatenate([*trees, STEEL]), 5.0)).bars, TOWER)
+    assert len({*match.member[match.right]}) > 0.95 * len(TOWER)
