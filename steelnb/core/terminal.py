@@ -51,7 +51,7 @@ def progress() -> Iterator[tuple[Callable[[str], None], Callable[[float], None]]
     with tqdm(total=1.0, desc="loading libraries", leave=False, disable=None, bar_format=bar_format) as bar:
 
         def on_stage(name: str) -> None:
-            bar.set_description(name, refresh=False)
+            bar.set_description_str(name, refresh=False)
             bar.reset(total=1.0)
 
         yield on_stage, lambda share: bar.update(share - bar.n)

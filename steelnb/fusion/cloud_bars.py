@@ -24,7 +24,8 @@ class CloudBars:
 
     ``freedom (B,)``: share of the points around a bar that lie on it, 0 to 1 (`freedom_of`); ``width_m (B,)``;
     ``surfaces``; ``surface (N,)``: number of the surface that each point of the cloud lies on, or −1;
-    ``voxel_m``: edge of the voxels in which the points were accumulated; ``tube_m``: radius of the tubes;
+    ``voxel_m``: edge of the voxels in which the points were accumulated; ``tube_m``: radius of the tubes, and
+    ``narrowest_m``: of the narrowest that were used among the points that bars in them left;
     ``typical_m``: median width of the bars before those were dropped that do not stand free, NaN if there were none;
     ``apart``: number of bars that were dropped as part of no structure (`in_structures`).
     """
@@ -36,6 +37,7 @@ class CloudBars:
     surface: IntArray
     voxel_m: float
     tube_m: float
+    narrowest_m: float
     typical_m: float
     apart: int = 0
 
@@ -68,7 +70,9 @@ class CloudBars:
             self.bars, start=scale * self.bars.start, end=scale * self.bars.end, radius=scale * self.bars.radius
         )
         surfaces = [surface.scaled(scale) for surface in self.surfaces]
-        lengths = {name: scale * getattr(self, name) for name in ("width_m", "voxel_m", "tube_m", "typical_m")}
+        lengths = {
+            name: scale * getattr(self, name) for name in ("width_m", "voxel_m", "tube_m", "narrowest_m", "typical_m")
+        }
         return replace(self, bars=bars, surfaces=surfaces, **lengths)
 
     def off(self, points: Array) -> Array:
@@ -93,8 +97,9 @@ class CloudBars:
         bars = Segments.joined([self.bars, more.bars])
         order = np.argsort(np.append(-self.bars.count, -more.bars.count), kind="stable")
         freedom, width_m = np.append(self.freedom, more.freedom), np.append(self.width_m, more.width_m)
-        tube_m = self.tube_m if len(self.bars) else more.tube_m
-        return replace(self, bars=bars, freedom=freedom, width_m=width_m, tube_m=tube_m).take(order)
+        tube_m, narrowest_m = self.tube_m if len(self.bars) else more.tube_m, min(self.narrowest_m, more.narrowest_m)
+        joined = replace(self, bars=bars, freedom=freedom, width_m=width_m, tube_m=tube_m, narrowest_m=narrowest_m)
+        return joined.take(order)
 
     def of_structures(self, points: Array) -> "CloudBars":
         """Those bars of the cloud ``(N, 3)`` that belong to a structure."""

@@ -69,7 +69,7 @@ def bars_of_cloud(
 
     def search(points: Array, tube_m: float) -> CloudBars:
         if on_stage is not None:
-            on_stage(f"{len(points)} points in tubes of {tube_m:.2g} m")
+            on_stage(f"searching {len(points)} points in tubes of {tube_m:.2g} m")
         return _bars_at_scale(points, tube_m / TUBE_M, voxel_m, min_votes)
 
     found = search(points, tube_m or max(default_tube(points), least_m))
@@ -160,7 +160,7 @@ def _bars_in_tubes(points: Array, voxel_m: float, min_votes: int) -> CloudBars:
     sure = (freedom >= FREE_MIN) & ((bars.length >= SURE_M) | _held(bars, surfaces))
     typical_m = float(np.median(width_m)) if len(bars) else math.nan
     bars, freedom, width_m = bars.take(sure), freedom[sure], width_m[sure]
-    return CloudBars(bars, freedom, width_m, surfaces.described(label), label, voxel_m, TUBE_M, typical_m)
+    return CloudBars(bars, freedom, width_m, surfaces.described(label), label, voxel_m, TUBE_M, TUBE_M, typical_m)
 
 
 def _tied(bars: Segments, points: Array, is_weak: NDArray[np.bool_] | None = None) -> Segments:

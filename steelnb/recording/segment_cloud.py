@@ -98,14 +98,15 @@ def segment_file(
         figure_bars(cloud.points, bars, title, ~off, found.freedom).savefig(folder / "segments.png", dpi=150)
         if scene:
             figure_cloud(cloud.points, bars, ~off).write_html(folder / "segments.html", include_plotlyjs=True)
-    voxel = found.voxel_m
+    voxel, least = found.voxel_m, found.narrowest_m
+    slim = f", {least:.2g} m where bars left points" if least < dx else ""
     on_surfaces = float(1 - off.mean())
     bar_share = explained * (1 - on_surfaces)
     summary = (
         f"read      {display_name(path)}: {len(cloud)} points ({cloud.duplicates} duplicates and "
         f"{cloud.invalid} invalid ones dropped), {apart_m:.3g} m apart",
-        f"settings  voxel {voxel:.3g} m, dx {dx:.3g} m: members closer than {2 * dx:.2g} m to each other are one, "
-        f"and those shorter than {(2 + LENGTH_MIN_M / TUBE_M) * dx:.2g} m are not found",
+        f"settings  voxel {voxel:.3g} m, dx {dx:.3g} m{slim}: members closer than {2 * least:.2g} m to each other are "
+        f"one, and those shorter than {(2 + LENGTH_MIN_M / TUBE_M) * least:.2g} m are not found",
         *_surface_lines(sorted(found.surfaces, key=lambda surface: -surface.area_m2)),
         f"found     {len(bars)} bars, {bars.length.sum():.1f} m in all, the longest "
         f"{bars.length.max(initial=0):.1f} m, in {time.perf_counter() - began:.1f} s",
