@@ -104,5 +104,5 @@ class CloudBars:
     def of_structures(self, points: Array) -> "CloudBars":
         """Those bars of the cloud ``(N, 3)`` that belong to a structure."""
         steel = points[self.surface < 0]
-        belongs = in_structures(steel, ~self.is_off(steel), self.bars, self.tube_m)
+        belongs = in_structures(steel, ~self.is_off(steel), self.bars, self.tube_m, points[self.surface >= 0])
         return replace(self.take(np.flatnonzero(belongs)), apart=int(np.count_nonzero(~belongs)))

@@ -18,7 +18,13 @@ AROUND, EXPLAINED_MIN = 10.0, 0.7
 """Distance to a structure of the points around it, in radii of the tube, and the minimum share of them on its bars.
 Trees and cars have 0.1 to 0.7, towers 0.9 to 1, and 0.5 to 0.7 with trees that reach into them."""
 HELD_MIN = 0.6
-"""Minimum share of the bars that end at others, where bars explain less. Lattices have 0.7 to 1, trees up to 0.5."""
+"""Minimum share of the bars that end at others or at a surface, where bars explain less. Lattices have 0.7 to 1, trees
+up to 0.5."""
+CLEAR_MIN, MOST = 0.9, 0.75
+"""Where bars explain less: the minimum share of the points around a bar's axis, in the median along it, by which it is
+clear of other things; and the minimum share of the length of bars that are. Some branches of a tree are clear."""
+ALONE = 2
+"""As many bars or fewer, such as a pole in a bush, need only stand free."""
 STEP_M = 0.3
 """Distance of the points of an axis that tell which object its bar is part of."""
 
@@ -45,21 +51,39 @@ def at_bars(bars: Segments, tube_m: float) -> NDArray[np.bool_]:
     return np.array(meets, dtype=bool).reshape(len(bars), 2)
 
 
-def in_structures(points: Array, on_bar: NDArray[np.bool_], bars: Segments, tube_m: float) -> NDArray[np.bool_]:
+def in_structures(
+    points: Array, on_bar: NDArray[np.bool_], bars: Segments, tube_m: float, surface: Array
+) -> NDArray[np.bool_]:
     """Whether each bar belongs to a structure ``(B,)``: bars that hang together are one if they explain most points
-    around them, or end at each other, as those of a lattice do.
+    around them, or along most of their length, or if they end at others or at a surface. So are poles.
 
-    ``points (N, 3)``: those on no surface; ``on_bar (N,)``: whether a point lies on a bar.
+    ``points (N, 3)``: those on no surface; ``on_bar (N,)``: whether a point lies on a bar; ``surface (M, 3)``: the
+    points on surfaces.
     """
     if not on_bar.any():
         return np.zeros(len(bars), dtype=bool)
-    number, steel = objects_of(points[on_bar], APART * tube_m), cKDTree(points[on_bar])
+    number, steel, every = objects_of(points[on_bar], APART * tube_m), cKDTree(points[on_bar]), cKDTree(points)
     distance, nearest = steel.query(points, distance_upper_bound=AROUND * tube_m)
     around = np.bincount(number[nearest[np.isfinite(distance)]], minlength=number.max() + 1)
-    explained = np.bincount(number) / around
-    lengths = zip(bars.start, bars.end, bars.length, strict=True)
-    axes = (np.linspace(start, end, 3 + int(length / STEP_M))[1:-1] for start, end, length in lengths)
+    axes = [
+        np.linspace(start, end, 3 + int(length / STEP_M))[1:-1]
+        for start, end, length in zip(bars.start, bars.end, bars.length, strict=True)
+    ]
     own = np.array([np.bincount(number[steel.query(axis)[1]]).argmax() for axis in axes])
-    size = len(explained)
-    held = np.bincount(own, at_bars(bars, tube_m).all(axis=1), size) / np.maximum(np.bincount(own, minlength=size), 1)
-    return np.asarray((explained[own] >= EXPLAINED_MIN) | (held[own] >= HELD_MIN))
+    count = np.bincount(own, minlength=len(around))
+    is_structure = (count <= ALONE) | (np.bincount(number) >= EXPLAINED_MIN * around)
+    doubtful = np.flatnonzero(~is_structure[own])
+    if not len(doubtful):
+        return np.ones(len(bars), dtype=bool)
+    ends = at_bars(bars, tube_m)
+    if len(surface):
+        ends |= (cKDTree(surface).query(np.stack([bars.start, bars.end]))[0] <= REACH_M / TUBE_M * tube_m).T
+    clear = np.zeros(len(bars), dtype=bool)
+    for bar in doubtful:
+        on, near = (tree.query_ball_point(axes[bar], AROUND * tube_m, return_length=True) for tree in (steel, every))
+        clear[bar] = np.median(on / np.maximum(near, 1)) >= CLEAR_MIN
+    held, length_m, clear_m = (
+        np.bincount(own, weight, len(count)) for weight in (ends.all(axis=1), bars.length, bars.length * clear)
+    )
+    is_structure |= (held >= HELD_MIN * count) | (clear_m >= MOST * length_m)
+    return np.asarray(is_structure[own])

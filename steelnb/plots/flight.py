@@ -23,7 +23,7 @@ from steelnb.plots import (
 from steelnb.plots.draw import in_view
 from steelnb.plots.style import drawable, style
 
-POINTS_MAX, MARGIN_M = 60_000, 0.5
+POINTS_MAX, MARGIN_M = 60_000, 1.0
 VIEWS = (0, 2, 1), (1, 2, 0), (0, 1, 2)
 """Axes to the right, up, and towards the viewer, of each view."""
 VIEW_NAMES = "from the front", "from the side", "from above"
@@ -95,8 +95,9 @@ def figure_bars(
         panel.set(title=name, xlabel=f"{'xyz'[right]} (m)", ylabel=f"{'xyz'[up]} (m)")
         panel.set_aspect("equal", adjustable="datalim")
         if len(segments):  # ground may reach much farther
-            (low, left), (high, end) = np.quantile(cloud, (0.0, 1.0), axis=0)[:, [up, right]]
-            panel.set(xlim=(left - MARGIN_M, end + MARGIN_M), ylim=(low - MARGIN_M, high + MARGIN_M))
+            (low, left), (high, end) = ends[..., [up, right]].min(axis=(0, 1)), ends[..., [up, right]].max(axis=(0, 1))
+            panel.set_xlim(left - MARGIN_M, end + MARGIN_M, auto=True)  # else one of the limits would be fixed
+            panel.set_ylim(low - MARGIN_M, high + MARGIN_M, auto=True)
     shown = thinned(cloud, POINTS_MAX // 2)
     space.plot(*project_perspective(shown, cloud).T, "o", ms=0.8, mew=0, color=COLOURS["points"], rasterized=True)
     draw_bars(space, ends, cloud, color=COLOURS["bars found"], lw=1.2)
