@@ -28,6 +28,8 @@ from steelnb.io.transforms import Tree, check_order, is_body_name, is_world_name
 
 LOOKED_AT = 10
 """Number of messages that tell what an IMU measures."""
+BURST_S = 0.1
+"""Of the poses within this time, the first tells the unit."""
 
 
 class Clock(NamedTuple):
@@ -77,8 +79,13 @@ class _Bag:
         self.headers.skipped["scan without a transform to the drone"] += int(unplaced.sum())
         facts = {"scans": f"{topic} ({self.bag.types[topic].rpartition('/')[2]})", "poses": said}
         facts |= {"mount": frames.source, "frames": frames.chain}
-        readings = self._imu(imus[0], tree, body, prior) if imus and imus[0] in self.headers.frame_of else None
-        facts |= {"imu": imus[0]} if readings is not None else {}
+        tried, readings = list[str](), None
+        for name in imus:
+            if readings is None and name in self.headers.frame_of:
+                tried, readings = [*tried, name], self._imu(name, tree, body, prior)
+        if left := [name for name in self.bag.of_type(ros.IMU) if name not in tried and not imu]:
+            self.headers.notes[f"inertial readings of {', '.join(left)} are left out (--imu TOPIC names an IMU)"] = None
+        facts |= {"imu": tried[-1]} if readings is not None else {}
         groups = taken_together(frames.stamp_s, log_s, self.headers.scan_frames, self.headers.repeated)
         count = sum(map(len, groups))
         self.headers.skipped["scan message that repeats another one"] += len(stamp_s) - count
@@ -86,8 +93,8 @@ class _Bag:
             self.headers.notes[f"{count} messages are {len(groups)} scans: those of one stamp are one"] = None
         for topic_left in source.left_out:
             self.headers.notes[f"poses of {topic_left} are left out: {self.bag.count(topic_left)} of them"] = None
-        lost = ["what is whole is read"] if self.bag.notes else []
-        notes = [*self.bag.notes, *lost, *self.headers.notes, *frames.notes]
+        lost = any("left out" not in note for note in self.bag.notes)
+        notes = [*self.bag.notes, *["what is whole is read"] * lost, *self.headers.notes, *frames.notes]
         facts |= {"notes": "; ".join(notes)} if notes else {}
         walk, first = partial(self._walk, topic, cameras, frames, groups), [group[0] for group in groups]
         return Opened(frames.stamp_s[first], walk, prior, frames.T_drone_sensor, facts, readings, self.headers.skipped)
@@ -124,8 +131,10 @@ class _Bag:
 
     def _turned(self, poses: Trajectory, world: str, body: str) -> Trajectory:
         """Poses of the drone's axes, z up, from those of a frame in a frame of the world."""
-        with damaged(self.bag.path, "poses of a drone"):
-            check_units(np.column_stack([poses.stamp_s, poses.position]), "s")
+        if not self.clock.by_log:  # they may be recorded, or stamped, in bursts
+            at = np.unique(np.floor(poses.stamp_s / BURST_S), return_index=True)[1]
+            with damaged(self.bag.path, "poses of a drone"):
+                check_units(np.column_stack([poses.stamp_s, poses.position])[at], "s")
         T_up_world = world_axes(world)
         if T_up_world[2, 2] < 0:
             self.headers.notes[f"z points down in {world}: the world is turned about its x axis"] = None
@@ -164,17 +173,12 @@ class _Bag:
         return cameras
 
     def _imu_topics(self, name: str | None) -> list[str]:
-        """The topic of an IMU of this name, else the first whose readings are all measured, in a list, which is empty
-        if there is none."""
+        """The topic of an IMU of this name, else those whose readings are all measured."""
         if name:
             return [self.bag.choose("an IMU", name, self.bag.of_type(ros.IMU))]
         measured = {topic: self._measured(topic) for topic in self.bag.of_type(ros.IMU)}
         parts = set().union(*(own for own in measured.values() if "both" in own))
-        chosen = [topic for topic, own in measured.items() if "both" in own and own == parts][:1]
-        left = [topic for topic in measured if topic not in chosen]
-        if left:
-            self.headers.notes[f"inertial readings of {', '.join(left)} are left out (--imu TOPIC names an IMU)"] = None
-        return chosen
+        return [topic for topic, own in measured.items() if "both" in own and own == parts]
 
     def _measured(self, topic: str) -> set[str]:
         """What an IMU measures by its first messages: −1 in a covariance says that it does not measure ``both``, and
@@ -190,8 +194,7 @@ class _Bag:
         return found
 
     def _imu(self, topic: str, tree: Tree, body: str, poses: Trajectory) -> Imu | None:
-        """Inertial samples with increasing stamps, in the axes of the drone if a transform relates them; None if none
-        is of use."""
+        """Inertial samples in the axes of the drone, if a transform relates them; None if none is of use."""
         rows, frame = self.headers.rows(topic, 6, "inertial sample"), self.headers.frame_of[topic][0]
         place = tree.place(body, tree.resolve(frame, body), rows[:1, 0])
         T_drone_imu = drone_axes(frame).T if place is None else drone_axes(body).T @ place.T_target_source[0]

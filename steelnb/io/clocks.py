@@ -1,6 +1,7 @@
 """Stamps that a clock got wrong: found before anything is ordered by them."""
 
 from bisect import bisect_left, bisect_right
+from collections import Counter
 from collections.abc import Collection, Sequence
 
 import numpy as np
@@ -12,8 +13,8 @@ FAR_S, FAR_MADS = 5.0, 10.0
 """A stamp is wrong if it differs from the time of recording by this much more, or less, than usual: seconds, and median
 absolute deviations, which allow for a simulated clock of another speed."""
 
-PARTS_SHARE = 0.9
-"""Parts of a scan are recorded within this share of the usual interval of scans."""
+PARTS_SHARE = 0.3
+"""Parts of a scan are recorded within this share of the time to the next scan."""
 
 
 def far_stamps(stamp_s: Array, log_s: Array) -> NDArray[np.bool_]:
@@ -59,16 +60,33 @@ def taken_together(
 ) -> list[list[int]]:
     """Numbers of the messages of each scan: those that follow each other with one stamp in ``stamp_s (N,)`` are one.
 
-    They are of several sensors, by their ``frames (N,)``, or parts of one scan: these are recorded nearer to each other
-    in ``log_s (N,)`` than scans are, unlike scans by a clock that stands still. Those ``repeated`` are left out.
+    They are of several sensors, by their ``frames (N,)``, or parts of one scan: see `_are_parts`. Those ``repeated``
+    are left out.
     """
-    steps_s = np.diff(stamp_s)
-    near_s = PARTS_SHARE * float(np.median(steps_s[steps_s > 0])) if (steps_s > 0).any() else 0.0
     found: list[list[int]] = []
+    are_parts = _are_parts(stamp_s, log_s, frames, repeated)
     for k, (stamp, frame) in enumerate(zip(stamp_s.tolist(), frames, strict=True)):
         last = found[-1] if found and stamp == stamp_s[found[-1][0]] else []
-        if last and (frame not in {frames[each] for each in last} or abs(log_s[k] - log_s[last[0]]) <= near_s):
+        if last and (are_parts or k in repeated or frame not in {frames[each] for each in last}):
             last += [k] if k not in repeated else []
         else:
             found.append([k])
     return found
+
+
+def _are_parts(stamp_s: Array, log_s: Array, frames: Sequence[str], repeated: Collection[int]) -> bool:
+    """Whether messages of one frame and stamp are parts of a scan: most stamps have several, and these are recorded
+    much nearer to each other than to the next stamp's, unlike scans by a clock that is coarse or stands still."""
+    counts, latest = Counter[tuple[str, float]](), dict[str, int]()
+    within, between = list[float](), list[float]()
+    for k, (stamp, frame) in enumerate(zip(stamp_s.tolist(), frames, strict=True)):
+        if k in repeated or stamp != stamp:
+            continue
+        counts[frame, stamp] += 1
+        if frame in latest:
+            gaps = within if stamp == stamp_s[latest[frame]] else between
+            gaps.append(abs(log_s[k] - log_s[latest[frame]]))
+        latest[frame] = k
+    if not within or not between or np.median([*counts.values()]) < 2:
+        return False
+    return bool(np.quantile(within, 0.9) < PARTS_SHARE * np.median(between))

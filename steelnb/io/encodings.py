@@ -15,23 +15,27 @@ FOREIGN = {
     b"<?xml": "XML; expected another form",
     b"astm-e57": "E57; expected PLY or LAS (`pdal translate FILE.e57 FILE.las`, or CloudCompare)",
     b"\xd4\xc3\xb2\xa1": f"packets of a network (pcap); {REPLAYED}",
-    b"\n\r\r\n": f"packets of a network (pcap); {REPLAYED}",
     b"ulog\x01\x12\x35": "a log of PX4, without scans; expected a recording of the sensor",
     b"\x89hdf": "HDF5; expected arrays of numpy.save, or another form",
     b"pk\x03\x04": "a zip archive; expected the files in it (unzip)",
-    b"bzh": "compressed by bzip2; expected plain data (bunzip2)",
     b"%pdf": "a document; expected numbers",
     b"\x89png": "a picture; expected numbers",
-    b"off\n": "OFF; expected PLY or another form of points",
     b"\xfd7zxz": "compressed by xz; expected plain data (unxz)",
 }
 """Beginnings of files that are something else than their name says, in lower case, and what they are."""
+FOREIGN_FORMS = {
+    rb"\n\r\r\n(?s:.{4})(?:\x1a\x2b\x3c\x4d|\x4d\x3c\x2b\x1a)": FOREIGN[b"\xd4\xc3\xb2\xa1"],
+    rb"BZh[1-9]1AY&SY": "compressed by bzip2; expected plain data (bunzip2)",
+    rb"OFF\r?\n": "OFF; expected PLY or another form of points",
+}
+"""The same by patterns, where fewer letters may begin a text."""
 
 
 def foreign(begin: bytes) -> str:
     """What a file that begins with these bytes is, if that is never a recording or a cloud, else ""."""
     both = begin.lower(), begin.lstrip().lower()
-    return next((what for start, what in FOREIGN.items() if any(each.startswith(start) for each in both)), "")
+    found = [what for start, what in FOREIGN.items() if any(each.startswith(start) for each in both)]
+    return next(iter(found + [what for form, what in FOREIGN_FORMS.items() if re.match(form, begin)]), "")
 
 
 def plain_nan(data: bytes) -> bytes:

@@ -70,7 +70,7 @@ def open_clouds(path: Path, scans: str | None, poses: str | None) -> Opened:
 def named_file(path: Path, name: str) -> Path:
     """A file by its name, relative to the working directory or to ``path``. Raises `InputError`."""
     for file in (Path(name), path / name):
-        if os.path.exists(file):
+        if os.path.exists(file) and not os.path.isdir(file):
             return file
     raise InputError(f"{name}: no such file, here or in {path}; expected a trajectory")
 
@@ -97,14 +97,11 @@ def _scans(folder: Path) -> tuple[list[Path], list[Path]]:
         )
     chosen = max(forms.values(), key=len)
     others = [each for each in forms.values() if each is not chosen]
-    count = _leading(no_tables or files)
-    own = sorted(count.get(file, 0.0) for file in chosen)
-    is_inside = any(own[0] < number < own[-1] for file, number in count.items() if file not in chosen)
-    is_counted = len({*count.values()}) == len(no_tables or files)
-    if len(chosen) == 1 or (is_inside and is_counted):  # the names differ in more than numbers
+    if len(chosen) == 1:  # the names differ in more than numbers
         chosen, others = no_tables or files, []
+        leading = {float(match[0]) for file in chosen if (match := NUMBER.match(file.stem))}
         has_stamps = all("." in "".join(NUMBER.findall(file.stem)) for file in chosen)
-        if _by_number(chosen) != sorted(chosen) and not is_counted and not has_stamps:
+        if _by_number(chosen) != sorted(chosen) and len(leading) < len(chosen) and not has_stamps:
             raise InputError(
                 f"{folder}: clouds such as {chosen[0].name} and {chosen[1].name} have no order; expected names that "
                 "differ in numbers alone"
@@ -117,14 +114,6 @@ def _scans(folder: Path) -> tuple[list[Path], list[Path]]:
             )
     scans = _by_number(chosen)
     return scans, sorted(set(files) - set(scans))
-
-
-def _leading(files: Sequence[Path]) -> dict[Path, float]:
-    """The first number of each file that has one after what all names begin with."""
-    first, last = min(stems := [file.stem for file in files] or [""]), max(stems)
-    same = next((k for k, (a, b) in enumerate(zip(first, last, strict=False)) if a != b), len(first))
-    begin = len(first[:same].rstrip("0123456789."))
-    return {file: float(match[0]) for file in files if (match := NUMBER.match(file.stem, begin))}
 
 
 def _by_number(files: Sequence[Path]) -> list[Path]:

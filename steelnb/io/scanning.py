@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
 
 from steelnb.io.encodings import foreign
+from steelnb.io.messages import TF
 
 MCAP_MAGIC, BAG_MAGIC, SQLITE_MAGIC = b"\x89MCAP0\r\n", b"#ROSBAG V2.0\n", b"SQLite format 3\0"
 OnDamage = Callable[[str], None]
@@ -193,8 +194,9 @@ def _sqlite(file: BinaryIO, on_damage: OnDamage) -> Iterator[Raw]:
 
 
 def ros_type(name: str) -> str:
-    """Name of a type as in ROS 2: sensor_msgs/msg/Imu for sensor_msgs/Imu."""
-    return name if name.count("/") != 1 else name.replace("/", "/msg/")
+    """Name of a type as in ROS 2: sensor_msgs/msg/Imu for sensor_msgs/Imu; both names of transforms are one."""
+    name = name if name.count("/") != 1 else name.replace("/", "/msg/")
+    return TF[0] if name in TF else name
 
 
 _READERS = {MCAP_MAGIC: _mcap, BAG_MAGIC: _bag, SQLITE_MAGIC: _sqlite}

@@ -29,7 +29,7 @@ UNIT_OF = {word: unit for unit, words in UNITS.items() for word in words.split()
 QUOTED = re.compile('"[^"]*"')
 DECIMAL = re.compile(r"[+-]?\d+(?:[.,]\d+)?(?:[eE][+-]?\d+)?")
 COMMA, POINT = (re.compile(rf"[+-]?\d+{sign}\d+(?:[eE][+-]?\d+)?") for sign in (",", r"\."))
-THOUSANDS = re.compile(r"[+-]?\d{1,3},\d{3}")
+THOUSANDS, POINT_THOUSANDS = (re.compile(rf"[+-]?[1-9]\d{{0,2}}{sign}\d{{3}}") for sign in (",", r"\."))
 PROSE = {"and", "down", "forward", "is", "left", "of", "right", "the", "to", "up"}
 """Words of sentences on axes. Columns with such names have x, y and z beside each other."""
 KNOWN = {
@@ -109,8 +109,9 @@ def _plain_numbers(data: bytes) -> bytes:
     head = data[:HEAD_BYTES]
     if re.search(rb"\d\.\d*[dD][+-]?\d", head):
         data = FORTRAN.sub(b"e", data)
-    if time := TIME.search(head):
-        line = head[head.rfind(b"\n", 0, time.start()) + 1 :].splitlines()[0]
+    lines = head.splitlines()[: -1 if len(data) > len(head) else None]
+    if timed := [line for line in lines if TIME.search(line.partition(b"#")[0])]:
+        line = timed[-1]  # those before may be titles
         others = TIME_WITH_COMMA.sub(b"0", line).decode("utf-8", "replace")
         form = TIME if _separator(others) == "," or not re.search(r"\S[\s;]+\S", others) else TIME_WITH_COMMA
         separated = any(sign in others for sign in ",;\t")  # else date and time are columns
@@ -193,17 +194,20 @@ def _counts(cells: list[str]) -> bool:
 
 def _has_decimal_commas(lines: list[str], separator: str) -> bool:
     """Whether numbers in these lines have commas instead of points: between other separators or in quotes. Beside
-    other columns with points, they may be those of thousands."""
+    other columns with points, either sign may be that of thousands."""
     pattern = r'"[+-]?\d+,\d+' if separator == "," else r"\d,\d"
     if not any(re.search(pattern, line) for line in lines):
         return False
+    lines = [QUOTED.sub("0", line) for line in lines] if separator == " " else lines
     columns = [*zip(*(split_cells(line, separator) for line in lines), strict=False)]
     with_comma, with_point = ([any(map(form.fullmatch, column)) for column in columns] for form in (COMMA, POINT))
     commas = [cell for column in columns for cell in column if "," in cell]
     numbers = [cell for cell in commas if COMMA.fullmatch(cell)]
     if any(map(all, zip(with_comma, with_point, strict=True))) or (separator == " " and len(numbers) < len(commas)):
         return False
-    return bool(numbers) and not (any(with_point) and all(map(THOUSANDS.fullmatch, numbers)))
+    points = [cell for column in columns for cell in column if POINT.fullmatch(cell)]
+    may_be_thousands = all(map(THOUSANDS.fullmatch, numbers)) or all(map(POINT_THOUSANDS.fullmatch, points))
+    return bool(numbers) and not (points and may_be_thousands)
 
 
 def _words(comment: str, count: int) -> list[str]:

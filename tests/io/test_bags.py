@@ -421,24 +421,52 @@ def test_raw_counts_of_an_imu_are_left_out(tmp_path, force, count):
     assert f"/imu are left out: {force:.5g} at rest, as of raw counts" in flight.facts["notes"]
 
 
-@pytest.mark.parametrize("unit", [1.0, 180 / np.pi])
-@pytest.mark.parametrize("rate", [0.1, -0.3])
-@pytest.mark.parametrize("bias", [0.0, 0.02])
-def test_rates_in_degrees_are_told_by_the_poses(tmp_path, unit, rate, bias):
-    stamp_s = np.round(0.2 * np.arange(40), 9)
+@pytest.mark.parametrize("turns_a_second", [0.95, 1.0, 2.05])
+def test_the_rates_of_a_fast_turn_stay_as_they_are(tmp_path, turns_a_second):
+    stamp_s, rate = np.round(0.2 * np.arange(40), 9), 2 * np.pi * turns_a_second
     T = np.tile(np.eye(4), (40, 1, 1))
     T[:, :3, :3] = Rotation.from_rotvec(np.outer(stamp_s, [0, 0, rate])).as_matrix()
-    flight = inertial(
-        tmp_path / "a.mcap", np.arange(160) / 20, [0.0, 0.0, 9.81], unit * (rate + bias), Trajectory(stamp_s, T)
-    )
-    np.testing.assert_allclose(flight.imu.angular_rate[:, 2], rate + bias)
-    assert ("in degrees a second, by the poses" in flight.facts.get("notes", "")) == (unit > 1)
+    flight = inertial(tmp_path / "a.mcap", np.arange(160) / 20, [0.0, 0.0, 9.81], rate, Trajectory(stamp_s, T))
+    np.testing.assert_array_equal(flight.imu.angular_rate[:, 2], rate)
+    assert "notes" not in flight.facts or "degrees" not in flight.facts["notes"]
+
+
+UPRIGHT = Trajectory(np.round(0.1 * np.arange(20), 9), np.tile(np.eye(4), (20, 1, 1)))
+
+
+def test_vibration_is_not_gravity(tmp_path):
+    stamps = np.arange(400) / 200
+    bag = Bagged(tmp_path / "a.mcap").clouds(stamps=UPRIGHT.stamp_s).odometry(trajectory=UPRIGHT)
+    for stamp_s in stamps.tolist():
+        force = np.array([-30 * np.cos(2 * np.pi * 10 * stamp_s), 0.0, 9.81])  # the same at all poses
+        bag.rows.append(("/imu", "sensor_msgs/msg/Imu", stamp_s, bag.make.imu(ns(stamp_s), force, np.zeros(3))))
+    assert len(read_flight(bag.write()).imu.stamp_s) == 400
+
+
+def test_the_next_imu_is_read_if_the_first_is_left_out(tmp_path):
+    bag = Bagged(tmp_path / "a.mcap").clouds(stamps=UPRIGHT.stamp_s).odometry(trajectory=UPRIGHT)
+    for topic, z in (("/a", -9.81), ("/b", 9.81), ("/c", 9.81)):
+        for stamp_s in (np.arange(200) / 100).tolist():
+            message = bag.make.imu(ns(stamp_s), np.array([0.0, 0.0, z]), np.zeros(3))
+            bag.rows.append((topic, "sensor_msgs/msg/Imu", stamp_s, message))
+    flight = read_flight(bag.write())
+    assert flight.facts["imu"] == "/b"
+    assert flight.imu.specific_force[0, 2] == 9.81
+    assert "of /a are left out: at rest [0.0, 0.0, -9.8]" in flight.facts["notes"]
+    assert "of /c are left out (--imu" in flight.facts["notes"]
+
+
+@pytest.mark.parametrize(("force", "count"), [(0.0, 10), (0.0, 200), (0.05, 200)])
+def test_an_imu_without_gravity_is_left_out_also_if_it_is_named(tmp_path, force, count):
+    inertial(tmp_path / "a.mcap", np.arange(count) / 100, [0.0, force, 0.0], 0.1, UPRIGHT)
+    flight = read_flight(tmp_path / "a.mcap", imu="/imu")
+    assert flight.imu is None
+    assert "/imu are left out: accelerations of 0" in flight.facts["notes"]
 
 
 @pytest.mark.parametrize("along", [[0.0, 0.0, -9.81], [9.81, 0.0, 0.0], [1.0, -9.0, 1.0], [0.5, 0.5, 9.7]])
 def test_an_imu_whose_z_is_not_up_is_left_out(tmp_path, along):
-    upright = Trajectory(np.round(0.1 * np.arange(20), 9), np.tile(np.eye(4), (20, 1, 1)))
-    flight = inertial(tmp_path / "a.mcap", np.arange(200) / 100, along, 0.0, upright)
+    flight = inertial(tmp_path / "a.mcap", np.arange(200) / 100, along, 0.0, UPRIGHT)
     assert (flight.imu is None) == (along[2] < 9)
     assert ("m/s² in the world; expected z up" in flight.facts.get("notes", "")) == (along[2] < 9)
 

@@ -8,8 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from steelnb.core.errors import InputError
+from steelnb.core.types import Trajectory
 from steelnb.io import read_flight
-from steelnb.io.clocks import far_stamps, rising_stamps
+from steelnb.io.clocks import far_stamps, rising_stamps, taken_together
 from tests.io.samples import Bagged, poses
 
 EPOCH_S = 1_700_000_000.0
@@ -91,3 +92,32 @@ def test_different_scans_of_a_clock_that_stands_still_are_not_joined(tmp_path):
     flight = read_flight(bag_of(tmp_path / "a.mcap", stamps))
     np.testing.assert_array_equal(flight.prior.stamp_s, np.delete(TIMES, [4, 5]))
     assert flight.scans[3].points.size == flight.scans[2].points.size
+
+
+@pytest.mark.parametrize(("count", "log"), [(10, "even"), (3, "even"), (1, "bursts")])
+def test_scans_of_a_coarse_clock_are_not_joined(tmp_path, count, log):
+    """``count`` scans have one stamp each; of the bursts, five of a clock that stands still."""
+    number = np.arange(40)
+    stamps = 0.1 * (number // count * count)
+    stamps[11:16] = stamps[11] if log == "bursts" else stamps[11:16]
+    log_s = 0.1 * number if log == "even" else 0.5 * (number // 5) + 1e-9 * number
+    frames = ["tof"] * len(number)
+    assert taken_together(stamps, log_s, frames) == [[k] for k in number]
+    two = taken_together(np.repeat(stamps, 2), np.repeat(log_s, 2), ["front", "rear"] * len(number))
+    assert two == [[2 * k, 2 * k + 1] for k in number]
+
+
+def test_repeated_scans_between_others_are_not_joined():
+    stamps = np.array([0.0, 0.1, 0.0, 0.2, 0.1])
+    assert len(taken_together(stamps, 0.1 * np.arange(5), ["tof"] * 5, {2, 4})) == 5
+
+
+@pytest.mark.parametrize("clock", ["stamps", "bag"])
+def test_poses_that_are_recorded_in_bursts_are_in_metres(tmp_path, clock):
+    bag, stamps = Bagged(tmp_path / "a.mcap").clouds(), np.round(0.02 * np.arange(60), 9)
+    T = np.tile(np.eye(4), (60, 1, 1))
+    T[:, 0, 3] = stamps
+    bag.odometry(trajectory=Trajectory(stamps, T))
+    for k, (topic, kind, _, message) in enumerate(bag.rows[-60:]):
+        bag.rows[k - 60] = topic, kind, 0.3 * (k // 6) + 4e-5 * (k % 6), message
+    assert len(read_flight(bag.write(), clock=clock)) == 5

@@ -12,8 +12,8 @@ from steelnb.core.errors import InputError
 from steelnb.io import read_flight, read_trajectory
 from steelnb.io.clouds import read_points
 from steelnb.io.containers import typestore
-from steelnb.io.messages import CLOUD, ODOMETRY
-from tests.io.samples import KINDS, POINTS, STAMPS, Bagged, ns, poses
+from steelnb.io.messages import CLOUD, ODOMETRY, TF
+from tests.io.samples import KINDS, POINTS, STAMPS, Bagged, T_of, ns, poses
 
 MAGIC = b"\x89MCAP0\r\n"
 
@@ -223,4 +223,14 @@ def test_of_a_topic_with_two_types_one_is_read(tmp_path, kind):
     bag = Bagged(tmp_path / kind).clouds().odometry()
     flight = read_flight(bag.images("/points", np.ones((2, 3), "<f4"), "32FC1").write())
     assert_whole(flight)
-    assert f"{kind} has /points also as Image, which is left out" in flight.facts["notes"]
+    assert f"{kind} has /points also as Image, which is left out" == flight.facts["notes"]
+
+
+def test_transforms_of_both_names_are_read(tmp_path):
+    bag = Bagged(tmp_path / "a.bag").clouds().odometry().tf("odom", "map", T_of((1, 0, 0)), topic="/tf")
+    bag.tf("base_link", "tof", T_of((0.5, 0, 0)), topic="/tf")
+    topic, _, stamp, message = bag.rows[-1]
+    bag.rows[-1] = topic, TF[1], stamp, typestore(1).types[TF[1]](message.transforms)
+    flight = read_flight(bag.write())
+    assert flight.T_drone_sensor[0, 3] == 0.5
+    assert "notes" not in flight.facts

@@ -118,9 +118,10 @@ def test_pipes_in_a_folder_are_no_parts_of_a_recording(tmp_path):
     [
         ("a.e57", b"ASTM-E57\1", "E57; expected PLY or LAS"),
         ("a.pcap", b"\xd4\xc3\xb2\xa1", "packets of a network"),
-        ("a.pcapng", b"\n\r\r\n\1", "packets of a network"),
+        ("a.pcapng", b"\n\r\r\n\x1c\0\0\0\x4d\x3c\x2b\x1a", "packets of a network"),
         ("a.zip", b"PK\3\4", "a zip archive"),
         ("a.ulg", b"ULog\1\x12\x35", "a log of PX4"),
+        ("a.bz2", b"BZh91AY&SY", "compressed by bzip2"),
         ("a.txt", b"%PDF-1.4\n1 0 0\n2 3 4\n", "a document"),
         ("a.xyz", b"OFF\n2 0 0\n1 2 3\n4 5 6\n", "OFF; expected PLY"),
     ],
@@ -130,3 +131,10 @@ def test_files_of_other_programs_are_named(tmp_path, name, begin, what):
     for read in (read_points, read_flight):
         with pytest.raises(InputError, match=f"{name}: .*{what}"):
             read(tmp_path / name)
+
+
+@pytest.mark.parametrize("begin", ["bzh,x,y,z\n", "Off\n", "off\n", "BZh9\n", "\n\r\r\n"])
+def test_titles_that_begin_like_another_file_are_titles(tmp_path, begin):
+    columns = "7," if "x" in begin else ""
+    (tmp_path / "a.csv").write_bytes(f"{begin}{columns}1,2,3\n{columns}4,5,6\n".encode())
+    np.testing.assert_array_equal(read_points(tmp_path / "a.csv"), [[1, 2, 3], [4, 5, 6]])

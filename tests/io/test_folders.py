@@ -182,18 +182,24 @@ def test_other_tables_of_eight_numbers_are_no_trajectory(folder: Path) -> None:
     assert len(read_flight(folder)) == 10
 
 
-@pytest.mark.parametrize(
-    "names", [["9_a", "10_b", "11_a"], ["9_a", "10_b", "11_c"], ["scan_8", "scan_9_x", "scan_10", "scan_11"]]
-)
-def test_files_are_in_the_order_of_their_first_numbers(tmp_path: Path, names: list[str]) -> None:
-    for k, name in enumerate(names):
-        np.save(tmp_path / f"{name}.npy", POINTS + k)
-    write_tum(tmp_path / "trajectory.tum", poses(len(names)))
-    scans = read_flight(tmp_path).scans
-    np.testing.assert_array_equal([scan.points for scan in scans], [POINTS + k for k in range(len(names))])
-
-
 @pytest.mark.parametrize("options", [{"clock": "bag"}, {"imu": "/imu"}])
 def test_what_only_a_bag_has_is_refused(folder: Path, options: dict) -> None:
     with pytest.raises(InputError, match=r"(clock 'bag'|IMU /imu); expected a bag"):
         read_flight(folder, **options)
+
+
+def test_a_map_whose_number_is_between_those_of_scans_is_no_scan(tmp_path: Path) -> None:
+    for name in ("1", "3", "5", "7", "6_map"):
+        np.save(tmp_path / f"{name}.npy", POINTS)
+    write_tum(tmp_path / "trajectory.tum", poses(4))
+    flight = read_flight(tmp_path)
+    assert len(flight) == 4
+    assert "6_map.npy" in str(flight.skipped)
+
+
+def test_scans_of_two_sensors_in_a_folder_are_refused(tmp_path: Path) -> None:
+    for k in range(6):
+        np.save(tmp_path / f"{k}_{('front', 'rear')[k % 2]}.npy", POINTS)
+    write_tum(tmp_path / "trajectory.tum", poses(6))
+    with pytest.raises(InputError, match="one kind"):
+        read_flight(tmp_path)

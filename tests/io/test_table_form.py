@@ -256,3 +256,37 @@ def test_commas_of_thousands_are_refused(tmp_path):
     (tmp_path / "a.tum").write_text(f"12,500;{ROW}\n13,500;{ROW}\n".replace(" ", ";"))
     with pytest.raises(InputError, match="line 1: '12,500'; expected a number"):
         read_trajectory(tmp_path / "a.tum")
+
+
+@pytest.mark.parametrize("head", ["# written 2023-11-14 22:13:20 by odom\n", "Written 2023-11-14 22:13:20 by odom\n"])
+@pytest.mark.parametrize("names", ["", "t,x,y,z,qx,qy,qz,qw\n"])
+def test_times_in_comments_and_titles_do_not_tell_the_form_of_others(tmp_path, head, names):
+    rows = "".join(f"2023-11-14T22:13:2{k},{k},2,3,0,0,0,1\n" for k in range(3))
+    (tmp_path / "a.csv").write_text(head + names + rows)
+    found = read_trajectory(tmp_path / "a.csv")
+    np.testing.assert_array_equal(found.position, [[k, 2, 3] for k in range(3)])
+    np.testing.assert_array_equal(found.stamp_s, 1_700_000_000 + np.arange(3))
+
+
+@pytest.mark.parametrize("separator", [" ", "\t"])
+def test_labels_with_commas_do_not_hide_decimal_commas(tmp_path, separator):
+    rows = [f'{k},465 -4,144 8,262 "a,b"\n'.replace(" ", separator) for k in (1, 2)]
+    (tmp_path / "a.txt").write_text("".join(rows))
+    np.testing.assert_array_equal(read_points(tmp_path / "a.txt"), [[1.465, -4.144, 8.262], [2.465, -4.144, 8.262]])
+
+
+def test_numbers_that_begin_with_0_have_no_thousands(tmp_path):
+    rows = [f"170000000{k}.5;2,465;-0,144;8,262;0,000;0,000;0,100;0,995\n" for k in range(3)]
+    (tmp_path / "a.tum").write_text("".join(rows))
+    np.testing.assert_array_equal(read_trajectory(tmp_path / "a.tum").position, [[2.465, -0.144, 8.262]] * 3)
+
+
+def test_a_0_before_a_point_tells_that_no_point_is_of_thousands(tmp_path):
+    (tmp_path / "a.tum").write_text("1,25;1.500;2.500;3.500;0;0;0.100;0.995\n2,5;4.500;5.500;6.500;0;0;0.100;0.995\n")
+    np.testing.assert_array_equal(read_trajectory(tmp_path / "a.tum").stamp_s, [1.25, 2.5])
+
+
+def test_points_of_thousands_beside_decimal_commas_are_refused(tmp_path):
+    (tmp_path / "a.txt").write_text("5.400;0,25;12,5\n900;0,5;12,75\n")
+    with pytest.raises(InputError, match="'0,25'; expected a number"):
+        read_points(tmp_path / "a.txt")
