@@ -104,7 +104,7 @@ def _in_narrower_tubes(points: Array, found: CloudBars, least_m: float, search: 
             if best is not None and (share > least or least < OFF_MIN):
                 break
         slim = slim.joined(best) if best is not None else slim
-    if len(found.bars) or not len(slim.bars):
+    if len(found.bars) or not len(slim.bars) or np.bincount(number).max() == len(points):
         return slim
     whole = search(points, slim.tube_m)  # surfaces end nearer to slim members then
     return whole if whole.share_off(points) < REST_MIN else slim

@@ -115,10 +115,11 @@ def read_points(path: Path | str) -> Array:
             raise ValueError("no points")
         largest = np.maximum.reduce([np.abs(points[..., axis]) for axis in range(3)])
         beyond = np.isfinite(largest) & ((largest > COORDINATE_MAX_M) | ((largest > 0) & (largest < COORDINATE_MIN_M)))
-        if beyond.sum() > np.isfinite(largest).sum() / 2:
+        is_one = not len(largest[beyond]) or np.ptp(largest[beyond]) == 0  # stands for no return
+        if not is_one and beyond.sum() > np.isfinite(largest).sum() / 2:
             bounds = f"{COORDINATE_MIN_M:.0e} to {COORDINATE_MAX_M:.0e} m"
             raise ValueError(f"{beyond.sum()} points that are not within {bounds}, as {points[beyond][0]}")
-    points[~(largest <= COORDINATE_MAX_M)] = np.nan
+    points[~(largest <= COORDINATE_MAX_M) | beyond] = np.nan
     return points
 
 

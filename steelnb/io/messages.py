@@ -88,7 +88,8 @@ def camera_of(message: Any) -> CameraInfo:
 
 
 def _is_calibrated(K: Array) -> bool:
-    return bool(np.isfinite(K).all() and K[0, 0] > 0 and K[1, 1] > 0 and not np.tril(K, -1).any())
+    below = np.abs(np.tril(K, -1)).max(initial=0.0)  # rounding may leave something
+    return bool(np.isfinite(K).all() and K[0, 0] > 0 and K[1, 1] > 0 and below < 1e-6 * K[0, 0])
 
 
 def camera_matrix(camera: CameraInfo, height: int, width: int) -> tuple[Array, str]:
