@@ -24,8 +24,8 @@ class CloudBars:
 
     ``freedom (B,)``: share of the points around a bar that lie on it, 0 to 1 (`freedom_of`); ``width_m (B,)``;
     ``surfaces``; ``surface (N,)``: number of the surface that each point of the cloud lies on, or −1;
-    ``voxel_m``: edge of the voxels in which the points were accumulated; ``tube_m``: radius of the tubes, and
-    ``narrowest_m``: of the narrowest that were used among the points that bars in them left;
+    ``voxel_m``: edge of the voxels in which the points were accumulated; ``tube_m``: radius of the tubes;
+    ``narrowest_m``: radius of the narrowest tubes in which bars of slim members were found, else ``tube_m``;
     ``typical_m``: median width of the bars before those were dropped that do not stand free, NaN if there were none;
     ``apart``: number of bars that were dropped as part of no structure (`in_structures`).
     """
@@ -82,11 +82,11 @@ class CloudBars:
 
     def is_off(self, points: Array) -> NDArray[np.bool_]:
         """Whether each of some points ``(N, 3)`` lies on no bar ``(N,)``."""
-        rest, half_m = np.arange(len(points)), FIT_TUBES * np.maximum(0.5 * self.width_m, self.tube_m)
+        is_off, half_m = np.ones(len(points), dtype=bool), FIT_TUBES * np.maximum(0.5 * self.width_m, self.tube_m)
         for bar in range(len(self.bars)):
-            own = nearest_bar(points[rest], self.bars.take(np.array([bar])), float(half_m[bar]), self.tube_m) >= 0
-            rest = rest[~own]
-        return np.isin(np.arange(len(points)), rest)
+            own = self.bars.take(np.array([bar]))
+            is_off[is_off] = nearest_bar(points[is_off], own, float(half_m[bar]), self.tube_m) < 0
+        return is_off
 
     def share_off(self, points: Array) -> float:
         """Share of the points ``(N, 3)`` on no surface that lie on no bar; 0 if all lie on surfaces."""

@@ -6,9 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
+from steelnb.core.graphs import connected
 from steelnb.core.kernels import njit
 from steelnb.core.types import Array, IntArray, Segments
 
@@ -167,7 +166,7 @@ def _groups(pair: IntArray, at: Array, point: Array) -> IntArray:
     # nearest to each other well away from the joints that a third bar forms with them.
     while True:
         ends = np.array(edges, dtype=np.int64).reshape(-1, 2)
-        group = connected_components(coo_array((np.ones(len(ends)), ends.T), shape=(len(pair), len(pair))))[1]
+        group = connected(ends, len(pair))
         middle = [point[group == joint].mean(axis=0) for joint in range(group.max(initial=-1) + 1)]
         joint_of: dict[tuple[int, int], int] = {}
         count = len(edges)
@@ -177,4 +176,4 @@ def _groups(pair: IntArray, at: Array, point: Array) -> IntArray:
                 if other != joint and np.linalg.norm(middle[other] - middle[joint]) < 2 * SAME_M:
                     edges.append((int(np.argmax(group == other)), int(np.argmax(group == joint))))
         if len(edges) == count:
-            return group.astype(np.int64)
+            return group

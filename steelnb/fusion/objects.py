@@ -1,11 +1,10 @@
-"""Which bars belong to a structure: a tower is its bars, while a tree or a car has some lines as well."""
+"""Bars of a structure, told from lines in trees and vehicles, by what lies around them and where they end."""
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
+from steelnb.core.graphs import connected
 from steelnb.core.types import Array, IntArray, Segments
 from steelnb.fusion.candidates import beyond_ends
 from steelnb.fusion.joints import REACH_M
@@ -35,9 +34,7 @@ def objects_of(points: Array, cell_m: float) -> IntArray:
         return np.zeros(0, dtype=np.int64)
     cells, cell = np.unique(np.floor(points / cell_m), axis=0, return_inverse=True)
     pair = cKDTree(cells).query_pairs(BESIDE, output_type="ndarray")
-    size = (len(cells), len(cells))
-    _, group = connected_components(coo_array((np.ones(len(pair)), tuple(pair.T)), shape=size), directed=False)
-    return np.asarray(group[cell.ravel()], dtype=np.int64)
+    return connected(pair, len(cells))[cell.ravel()]
 
 
 def at_bars(bars: Segments, tube_m: float) -> NDArray[np.bool_]:
@@ -54,15 +51,17 @@ def at_bars(bars: Segments, tube_m: float) -> NDArray[np.bool_]:
 def in_structures(
     points: Array, on_bar: NDArray[np.bool_], bars: Segments, tube_m: float, surface: Array
 ) -> NDArray[np.bool_]:
-    """Whether each bar belongs to a structure ``(B,)``: bars that hang together are one if they explain most points
-    around them, or along most of their length, or if they end at others or at a surface. So are poles.
+    """Whether each bar belongs to a structure ``(B,)``.
+
+    Bars that hang together are a structure if they are at most `ALONE`, if most of the points around them lie on bars,
+    if that is so along most of their length, or if most of them end at other bars or at surfaces.
 
     ``points (N, 3)``: those on no surface; ``on_bar (N,)``: whether a point lies on a bar; ``surface (M, 3)``: the
     points on surfaces.
     """
     if not on_bar.any():
         return np.zeros(len(bars), dtype=bool)
-    number, steel, every = objects_of(points[on_bar], APART * tube_m), cKDTree(points[on_bar]), cKDTree(points)
+    number, steel = objects_of(points[on_bar], APART * tube_m), cKDTree(points[on_bar])
     distance, nearest = steel.query(points, distance_upper_bound=AROUND * tube_m)
     around = np.bincount(number[nearest[np.isfinite(distance)]], minlength=number.max() + 1)
     axes = [
@@ -75,7 +74,7 @@ def in_structures(
     doubtful = np.flatnonzero(~is_structure[own])
     if not len(doubtful):
         return np.ones(len(bars), dtype=bool)
-    ends = at_bars(bars, tube_m)
+    every, ends = cKDTree(points), at_bars(bars, tube_m)
     if len(surface):
         ends |= (cKDTree(surface).query(np.stack([bars.start, bars.end]))[0] <= REACH_M / TUBE_M * tube_m).T
     clear = np.zeros(len(bars), dtype=bool)

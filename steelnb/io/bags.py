@@ -93,8 +93,8 @@ class _Bag:
             self.headers.notes[f"{count} messages are {len(groups)} scans: those of one stamp are one"] = None
         for topic_left in source.left_out:
             self.headers.notes[f"poses of {topic_left} are left out: {self.bag.count(topic_left)} of them"] = None
-        lost = any("left out" not in note for note in self.bag.notes)
-        notes = [*self.bag.notes, *["what is whole is read"] * lost, *self.headers.notes, *frames.notes]
+        lost = ["what is whole is read"] if self.bag.notes else []
+        notes = [*self.bag.notes, *lost, *self.bag.left_out, *self.headers.notes, *frames.notes]
         facts |= {"notes": "; ".join(notes)} if notes else {}
         walk, first = partial(self._walk, topic, cameras, frames, groups), [group[0] for group in groups]
         return Opened(frames.stamp_s[first], walk, prior, frames.T_drone_sensor, facts, readings, self.headers.skipped)

@@ -114,12 +114,14 @@ def read_points(path: Path | str) -> Array:
         if not points.size:
             raise ValueError("no points")
         largest = np.maximum.reduce([np.abs(points[..., axis]) for axis in range(3)])
-        beyond = np.isfinite(largest) & ((largest > COORDINATE_MAX_M) | ((largest > 0) & (largest < COORDINATE_MIN_M)))
-        is_one = not len(largest[beyond]) or np.ptp(largest[beyond]) == 0  # stands for no return
-        if not is_one and beyond.sum() > np.isfinite(largest).sum() / 2:
+        tiny = (largest > 0) & (largest < COORDINATE_MIN_M)
+        beyond = np.isfinite(largest) & (largest > COORDINATE_MAX_M)
+        if len(np.unique(largest[tiny])) > 1:  # a single value stands for no return
+            beyond |= tiny
+        if beyond.sum() > np.isfinite(largest).sum() / 2:
             bounds = f"{COORDINATE_MIN_M:.0e} to {COORDINATE_MAX_M:.0e} m"
             raise ValueError(f"{beyond.sum()} points that are not within {bounds}, as {points[beyond][0]}")
-    points[~(largest <= COORDINATE_MAX_M) | beyond] = np.nan
+    points[~(largest <= COORDINATE_MAX_M) | tiny] = np.nan
     return points
 
 

@@ -74,8 +74,8 @@ class Container:
     """
 
     def __init__(self, path: Path) -> None:
-        self.path, self.notes = path, dict[str, None]()
-        self.parts = [Part(file, self.notes) for file in self._files()]
+        self.path, self.notes, self.left_out = path, dict[str, None](), dict[str, None]()
+        self.parts = [Part(file, self.notes, self.left_out) for file in self._files()]
         self.types = {topic: kind for part in self.parts for topic, kind in part.types.items()}
         if not self.types:
             unread = sorted({encoding for part in self.parts for encoding in part.unread})
@@ -165,11 +165,12 @@ class Part:
     """A file of messages, or a ROS 2 folder with compressed ones.
 
     ``types``: message type of each topic with messages; ``unread``: other encodings in it; ``span_ns``: times of the
-    first and last message; ``scans``: topics of clouds and images. ``notes`` collects what could not be read.
+    first and last message; ``scans``: topics of clouds and images. ``notes`` collects what could not be read, and
+    ``left_out`` what was not.
     """
 
-    def __init__(self, path: Path, notes: dict[str, None]) -> None:
-        self.path, self._notes, self._is_scanned = path, notes, False
+    def __init__(self, path: Path, notes: dict[str, None], left_out: dict[str, None]) -> None:
+        self.path, self._notes, self._left_out, self._is_scanned = path, notes, left_out, False
         self.types: dict[str, str] = {}
         self.counts = Counter[str]()
         self.unread: set[str] = set()
@@ -229,7 +230,8 @@ class Part:
     def _add(self, topic: str, kind: str, encoding: str, count: int) -> None:
         if count and _is_known(encoding):
             if self.types.setdefault(topic, ros_type(kind)) != ros_type(kind):
-                self._note(f"has {topic} also as {kind.rpartition('/')[2]}, which is left out")
+                second = kind.rpartition("/")[2]
+                self._left_out[f"{self.path.name} has {topic} also as {second}, which is left out"] = None
             self.counts[topic] += count
         elif count:
             self.unread.add(encoding)

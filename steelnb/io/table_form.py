@@ -77,8 +77,7 @@ def read_table(path: Path) -> Table:
     if "\t" in bodies[0] and any("\t" in text for _, text in heads):
         separator = "\t"  # the words of a name, and missing numbers, are kept together
     if _has_decimal_commas(bodies, separator):
-        quoted = rb'"[^"\n]*"' if separator == "," else rb"(?s).+"
-        data = re.sub(quoted, lambda each: each[0].replace(b",", b"."), data)
+        data = re.sub(rb'("[+-]?\d+),(?=\d)', rb"\1.", data) if separator == "," else data.replace(b",", b".")
     cells = split_cells(bodies[0], separator)
     if len(cells) > COLUMNS_MAX:
         raise ValueError(f"line {content[0] + 1} has {len(cells)} numbers; expected those of one point or pose a line")

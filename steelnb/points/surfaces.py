@@ -6,10 +6,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
+from steelnb.core.graphs import connected
 from steelnb.core.types import Array, IntArray
 from steelnb.points.filters import voxel_grid
 from steelnb.points.surface_kernels import DISC, local_planes
@@ -91,8 +90,7 @@ class Surfaces:
         pair = cKDTree(point).query_pairs(2 * cell_m, output_type="ndarray")
         cosine = np.abs(np.einsum("pi,pi->p", normal[pair[:, 0]], normal[pair[:, 1]]))
         pair = pair[cosine > math.cos(TURN_MAX_RAD)]
-        n = len(point)
-        _, group = connected_components(coo_array((np.ones(len(pair)), tuple(pair.T)), shape=(n, n)), directed=False)
+        group = connected(pair, len(point))
         size = np.bincount(group)
         rank = np.empty(len(size), dtype=np.int64)
         rank[np.argsort(-size, kind="stable")] = np.arange(len(size))

@@ -99,7 +99,7 @@ def segment_file(
         if scene:
             figure_cloud(cloud.points, bars, ~off).write_html(folder / "segments.html", include_plotlyjs=True)
     voxel, least = found.voxel_m, found.narrowest_m
-    slim = f", {least:.2g} m where bars left points" if least < dx else ""
+    slim = f", {least:.2g} m for slim members" if least < dx else ""
     on_surfaces = float(1 - off.mean())
     bar_share = explained * (1 - on_surfaces)
     summary = (
@@ -129,7 +129,8 @@ def segment_file(
 
 
 def _apart_line(count: int) -> list[str]:
-    return [f"left out  {count} lines: as in trees and vehicles, bars explain little there"] if count else []
+    why = "look like parts of trees or vehicles, as most points around them are on no bar"
+    return [f"left out  {count} lines that {why}"] if count else []
 
 
 def _surface_lines(surfaces: list[Surface]) -> list[str]:
@@ -159,7 +160,7 @@ def _warnings(found: CloudBars, explained: float, points: Array, min_votes: int)
         if found.all_on_surfaces:
             why = "all points lie on surfaces"
         elif found.apart:
-            why = f"bars explain little of what has the {found.apart} lines found, as of trees and vehicles"
+            why = f"the {found.apart} lines look like parts of trees or vehicles: most points around them are on none"
         elif left < VOXELS_FEW * min_votes:
             why = f"voxels of {found.voxel_m:.3g} m leave {left} of {len(points)} points, and a bar needs {min_votes}"
         elif not np.isnan(found.typical_m):

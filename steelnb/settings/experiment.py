@@ -117,7 +117,7 @@ class ExperimentSettings(Settings):
         given = {"trajectory": trajectory, "noise": noise, "seed": seed, "duration_s": duration_s, "tower": tower}
         check_given_once(overrides, {name: None if _is_usual(name, value) else value for name, value in given.items()})
         of_flight = {"still_s": REST_S} if imu and trajectory in ("zigzag", "loops") else {}
-        of_flight |= {name[7:]: value for name, value in _of_flight(overrides).items()}
+        of_flight |= {name.removeprefix("flight."): value for name, value in _of_flight(overrides).items()}
         settings = cls.model_construct(  # checked when they are changed
             sensor=sensor,
             noise_name=noise,

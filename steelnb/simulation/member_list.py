@@ -12,13 +12,12 @@ from pathlib import Path
 from typing import Any, get_args
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from steelnb.core.checks import quoted
 from steelnb.core.errors import InputError
 from steelnb.core.files import reading
+from steelnb.core.graphs import connected
 from steelnb.core.types import Array
 from steelnb.settings import TowerSettings
 from steelnb.settings.presets import members_file
@@ -135,9 +134,7 @@ def joints_of_members(ends: Array) -> tuple[Array, list[tuple[int, ...]]]:
         owners += [np.full(len(close), i), i + 1 + close]
     point, owner = np.concatenate(points), np.concatenate(owners)
     pairs = cKDTree(point).query_pairs(JOINT_M, output_type="ndarray")
-    links = coo_array((np.ones(len(pairs)), pairs.T), shape=(len(point), len(point)))
-    _, label = connected_components(links, directed=False)
-    _, first, label = np.unique(label, return_index=True, return_inverse=True)
+    _, first, label = np.unique(connected(pairs, len(point)), return_index=True, return_inverse=True)
     joints_of = []
     for m, (start, end) in enumerate(ends):
         own = np.unique(label[owner == m])
