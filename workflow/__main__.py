@@ -17,7 +17,7 @@ from steelnb.cli import call
 from steelnb.core.errors import InputError
 from steelnb.core.files import new_folder
 from steelnb.notebook.results import find_root
-from workflow.experiments import BUDGETS, first_parts, make_parts, parse_parameters, read_experiments
+from workflow.experiments import BUDGETS, first_parts, make_parts, parse_parameters
 from workflow.run_notebooks import LATEST, cache_folder, latest_parts, run
 from workflow.write_results import write
 
@@ -131,7 +131,7 @@ def pages(
     from workflow.pages import write_pages
 
     root = find_root()
-    parts = first_parts(make_parts(root, [*read_experiments(root)], budget)) if budget else latest_parts(root)
+    parts = first_parts(root, budget) if budget else latest_parts(root)
     cache = cache_folder(root, root / BUDGETS.get(budget, LATEST))
     for fault in filter(None, run(parts, cache, root / ".cache", jobs).values()):
         raise fault

@@ -108,8 +108,9 @@ def make_parts(root: Path, ids: Sequence[str], budget: str, given: Mapping[str, 
     return [part for id, each, usual in some for part in _combine(root, id, each, usual, given or {})]
 
 
-def first_parts(parts: Sequence[Part]) -> list[Part]:
-    """The first part of each notebook: the others run the same cells."""
+def first_parts(root: Path, budget: str) -> list[Part]:
+    """The first part of each notebook, with those apart: the others run the same cells."""
+    parts = make_parts(root, [*read_experiments(root)], budget)
     return list({part.notebook: part for part in reversed(parts)}.values())
 
 

@@ -28,7 +28,7 @@ from steelnb.core.errors import InputError, SteelnbError
 from steelnb.notebook.parameters import FOLDER
 from steelnb.notebook.progress import PROGRESS_VARIABLE
 from steelnb.notebook.results import REQUIRED, file_digest
-from workflow.experiments import BUDGETS, Part, first_parts, make_parts, read_experiments
+from workflow.experiments import BUDGETS, Part, first_parts
 
 EXECUTED, STAMP = "executed.ipynb", "stamp.json"
 LATEST = "latest"
@@ -66,8 +66,8 @@ def is_current(folder: Path, key: str) -> bool:
 
 
 def latest_parts(root: Path) -> list[Part]:
-    """The first part of each notebook, with those apart: at the full budget if that is up to date, else at smoke."""
-    full, smoke = (first_parts(make_parts(root, [*read_experiments(root)], budget)) for budget in ("full", "smoke"))
+    """The `first_parts`: at the full budget if that is up to date, else at smoke."""
+    full, smoke = (first_parts(root, budget) for budget in BUDGETS)
     kept = cache_folder(root, root / BUDGETS["full"])
     return [a if is_current(part_folder(kept, a), a.key()) else b for a, b in zip(full, smoke, strict=True)]
 

@@ -4,7 +4,6 @@ from collections.abc import Sequence
 
 import numpy as np
 import pandas as pd
-from joblib import Parallel, delayed
 
 from steelnb import experiment
 from steelnb.core.errors import InputError
@@ -24,20 +23,19 @@ BAND_COLUMNS = (
 
 
 def draw_programs(
-    cases: Sequence[ExperimentSettings], count: int, on_progress: experiment.OnProgress | None = None, jobs: int = 1
+    cases: Sequence[ExperimentSettings], count: int, on_progress: experiment.OnProgress | None = None
 ) -> pd.DataFrame:
     """Errors over time of ``count`` draws of the sensor's noise of each case, with the same drift and flight, beside
     the report's curve: long form with the columns of `case_of`, ``plot``, ``curve``, ``draw``, ``sample``, ``time_s``
     and ``error_m``.
 
     ``curve``: ``draws``; ``draw``, the first one again; ``report``, where the report has a plot of the experiment.
-    ``jobs``: number of cases at once. Raises `InputError` for fewer than two draws."""
+    Raises `InputError` for fewer than two draws."""
     if count < 2:
         raise InputError(f"draws = {count}: expected at least two, for a band")
     parts = []
-    found = Parallel(n_jobs=jobs, return_as="generator")(delayed(_draws_of)(case, count) for case in cases)
-    for done, part in enumerate(found, 1):
-        parts.append(part)
+    for done, case in enumerate(cases, 1):
+        parts.append(_draws_of(case, count))
         if on_progress:
             on_progress(done / len(cases))
     return pd.concat(parts, ignore_index=True)

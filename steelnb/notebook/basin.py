@@ -2,7 +2,7 @@
 
 import copy
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +14,7 @@ from steelnb.core.files import reading
 from steelnb.core.geometry import exp_about, transform_points
 from steelnb.core.rng import stream
 from steelnb.core.types import Array, Flight
-from steelnb.experiment import Result
+from steelnb.experiment import OnProgress, Result
 from steelnb.metrics import WRONG_M, WRONG_SHARE, largest_slip, position_error_m
 from steelnb.notebook.tables import table
 from steelnb.odometry import CloudOdometry
@@ -46,7 +46,7 @@ def find_basin(
     truth: Truth,
     frame: int,
     offset_m: Array,
-    on_progress: Callable[[float], None] | None = None,
+    on_progress: OnProgress | None = None,
 ) -> pd.DataFrame:
     """Register scan ``frame`` from starts that are off its true pose by ``offset_m (N, 3)``, one row per start. The map
     holds every `MAP_EVERY`-th scan at its true pose, without ``frame``.
@@ -81,7 +81,7 @@ def from_poor_starts(
     flight: Flight,
     truth: Truth,
     count: int,
-    on_progress: Callable[[float], None] | None = None,
+    on_progress: OnProgress | None = None,
 ) -> pd.DataFrame:
     """Register ``count`` scans, spread over a flight, with ICP and GICP, six degrees of freedom, no odometry around it.
     Each starts off its true pose by a random shift up to `POOR_M` and rotation up to `POOR_RAD`, the same for all

@@ -61,14 +61,9 @@ def sample_runs() -> pd.DataFrame:
         if plot.steps_per_sample:
             continue  # a fast program, which used nearly every scan
         program = {"average": "segments"}.get(plot.method, plot.method)
-        case: dict[str, str | float] = {
-            "sensor": "report",
-            "trajectory": plot.flight or plot.trajectory,
-            "noise": plot.noise,
-        }
-        case |= {"method": f"report-{program}", "variant": "samples", "duration_s": 0.0, "status": "ok"}
-        scan_s = STEP_S * np.diff(plot.steps)
-        runs.append(pd.DataFrame({**case, "seed": np.arange(len(scan_s)), "scan_s": scan_s}))
+        rows = pd.DataFrame({"scan_s": STEP_S * np.diff(plot.steps)}).rename_axis("seed").reset_index()
+        flown = {"trajectory": plot.flight or plot.trajectory, "noise": plot.noise, "method": f"report-{program}"}
+        runs.append(rows.assign(sensor="report", variant="samples", duration_s=0.0, status="ok", **flown))
     return pd.concat(runs, ignore_index=True)
 
 

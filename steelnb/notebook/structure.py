@@ -3,7 +3,7 @@ once or scan by scan; their scores, and the near-side bias."""
 
 import itertools
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -73,7 +73,7 @@ def fly_tower(
     duration_s: float,
     tower: str = "tapered",
     overrides: dict[str, Any] | None = None,
-    on_progress: Callable[[float], None] | None = None,
+    on_progress: experiment.OnProgress | None = None,
 ) -> TowerFlight:
     """Simulate a drifting flight over a tower of `TowerSettings.preset` and correct it. Raises `InputError`."""
     settings = ExperimentSettings.preset(trajectory, noise, method, sensor, seed, duration_s, overrides, tower)

@@ -63,10 +63,10 @@ CLOUD_METHODS = ("steelnb segment", "blocks", "hough", "ransac-lines", "dbscan",
 """`bars_of_cloud`; `segment_structure`, on which it builds; and methods of `hough.alternatives`."""
 
 
-def merged_cloud(tower: str, seed: int, duration_s: float, sensor: str = "starling2") -> tuple[Array, Reference]:
+def merged_cloud(tower: str, seed: int, duration_s: float) -> tuple[Array, Reference]:
     """Points ``(N, 3)`` of a flight in loops around a tower at the true poses, world frame, in random order, with the
     ground; and the true bars that it saw. Members in line are one bar."""
-    settings = ExperimentSettings.preset("loops", "none", "best", sensor, seed, duration_s)
+    settings = ExperimentSettings.preset("loops", "none", "best", "starling2", seed, duration_s)
     settings = settings.replace(tower=TowerSettings.preset(tower)).override({"preprocess.floor_m": -10.0})
     flight, truth = experiment.simulate(settings)
     T = truth.trajectory.at(flight.prior.stamp_s).T_world_drone

@@ -1,11 +1,11 @@
 import json
+from unittest.mock import Mock
 
 import ipywidgets
 import numpy as np
 import pytest
 from IPython.core.interactiveshell import InteractiveShell
 
-from steelnb import experiment
 from steelnb.core.errors import CollisionError, InputError
 from steelnb.notebook import panel
 from steelnb.notebook.panel import Panel
@@ -30,8 +30,6 @@ def view() -> panel.ShownFlight:
 @pytest.mark.parametrize(
     ("noise", "level", "walk_m", "turn_rad"),
     [
-        ("random-walk", 1.0, 0.002, 0.0),
-        ("random-walk", 2.5, 0.005, 0.0),
         ("random-walk:0.004", 0.5, 0.002, 0.0),
         ("random-walk + yaw-random-walk", 2.0, 0.004, 0.001),
         ("random-walk", 0.0, 0.0, 0.0),
@@ -48,12 +46,6 @@ def test_a_level_multiplies_every_noise(noise: str, level: float, walk_m: float,
 def test_a_level_or_noise_that_is_none_is_refused(noise: str, level: float) -> None:
     with pytest.raises(InputError):
         make_panel(noise=noise, level=level)
-
-
-def test_a_flight_is_the_experiment_of_the_same_settings(view: panel.ShownFlight) -> None:
-    same = experiment.run(view.result.settings)
-    assert same.metrics == view.result.metrics
-    assert np.array_equal(same.corrected.T_world_drone, view.result.corrected.T_world_drone)
 
 
 def test_the_cloud_lies_on_the_steel_and_is_light(view: panel.ShownFlight) -> None:
@@ -87,7 +79,9 @@ def names(figure: dict) -> set[str]:
     return {trace["name"] for trace in figure["data"]}
 
 
-def test_the_panel_shows_the_drift_first_then_the_correction_and_redraws_when_a_control_moves(shown: list) -> None:
+def test_the_panel_shows_the_drift_first_then_the_correction_and_redraws_when_a_control_moves(
+    shown: list, monkeypatch: pytest.MonkeyPatch
+) -> None:
     panel = make_panel()
     said: list[str] = []
     panel.status.observe(lambda change: said.append(change["new"]), "value")
@@ -115,16 +109,10 @@ def test_the_panel_shows_the_drift_first_then_the_correction_and_redraws_when_a_
     assert panel.status.value.startswith("computed in")
     panel.controls["sensor"].value = "starling2"
     assert panel.view.result.truth is not view.result.truth
-
-
-def test_a_flight_that_fails_is_told_and_the_picture_stays(shown: list, monkeypatch: pytest.MonkeyPatch) -> None:
-    def collide(*_: object, **__: object) -> None:
-        raise CollisionError("the drone touched the tower")
-
-    panel = make_panel()
-    view = panel.show()
+    # A flight that fails is told, and the picture stays.
+    view = panel.view
     del shown[:]
-    monkeypatch.setattr("steelnb.experiment.simulate", collide)
+    monkeypatch.setattr("steelnb.experiment.simulate", Mock(side_effect=CollisionError("the drone touched the tower")))
     panel.controls["seed"].value = 7
     assert panel.status.value == "the drone touched the tower"
     assert panel.view is view

@@ -11,7 +11,7 @@ from IPython.core.interactiveshell import InteractiveShell
 
 from steelnb.core.errors import InputError, SteelnbError
 from steelnb.notebook import parameters
-from steelnb.notebook.parameters import check_names, check_parameters, literals
+from steelnb.notebook.parameters import check_parameters, literals
 from steelnb.settings import parse_parameter
 from workflow.experiments import make_parts, parse_parameters, read_parameters
 
@@ -50,14 +50,7 @@ def test_names_types_and_settings_out_of_range_are_refused(given: dict, words: l
 
 
 def test_values_take_the_type_of_their_defaults() -> None:
-    given = {
-        "value": 9,
-        "noise": ["none", "random-walk"],
-        "any": 3,
-        "count": 2,
-        "seed": "report",
-        "blind_s": [[1, 2], [3, 4]],
-    }
+    given = {"value": 9, "noise": ["none", "random-walk"], "any": 3, "seed": "report", "blind_s": [[1, 2], [3, 4]]}
     fitted = check_parameters("e", given, DEFAULTS)
     assert fitted == given
     assert type(fitted["value"]) is float
@@ -82,28 +75,19 @@ def test_every_parameter_of_every_notebook_refuses_what_it_cannot_be(path: Path)
     ("notebook", "given", "words"),
     [
         ("00", {"seed": "report"}, ["seed = 'report'", "number"]),
-        ("04", {"tower": "heavi"}, ["tower = 'heavi', did you mean 'heavy'"]),
         ("00", {"duration_s": 0.4}, ["duration_s = 0.4", "expected two scans, so more than 0.4 s"]),
         ("01", {"seeds": 0}, ["seeds = 0", "greater than 0"]),
-        ("01", {"tower": "light", "overrides": {"tower": "heavy"}}, ["'light'", "'heavy'", "expected one tower"]),
         ("01", {"drift_s": 59.0}, ["drift_s = 59: expected at least 60"]),
         ("01", {"noise": ["random-wolk"]}, ["random-wolk"]),
         ("01", {"overrides": {"flight.trajectory": "orbit"}}, ["'vertical'", "'orbit' in the overrides"]),
-        ("02", {"overrides": {"noise_name": "random-walk"}}, ["noise = 'constant-drift'", "'random-walk'"]),
         ("02", {"overrides": {"seed": 5}}, ["seed = 'report', and 5"]),
-        ("02", {"overrides": {"flight.trajectory": "orbit"}}, ["trajectory = 'vertical', and 'orbit'"]),
-        ("02", {"duration_s": 24.0, "overrides": {"flight.duration_s": 25.0}}, ["duration_s = 24.0, and 25.0"]),
         ("02", {"correction": []}, ["correction = []", "at least 1"]),
         ("02", {"correction": ["none"]}, ["correction = 'none'", "'average'"]),
         ("02", {"draws": 1}, ["draws = 1"]),
         ("02", {"sensor": "starling2-honest"}, ["draws of the noise", "a sensor without faults"]),
-        ("02", {"noise": "random-walk:1e300", "seed": 1}, ["random_walk_m = 1e+300", "from 0 to 1000 m"]),
         ("02", {"trajectory": "zigzag"}, ["'zigzag'", "'average' on 'orbit'"]),
-        ("02", {"duration_s": 1e-3}, ["duration_s = 0.001", "expected two scans"]),
         ("03", {"drawn": ["smoothed"]}, ["drawn = 'smoothed'", "'report-gicp'"]),
         ("03", {"duration_s": 3.0}, ["duration_s = 3 ", "begins at 3.872 s"]),
-        ("03", {"overrides": {"tof.start_s": 540.0}}, ["start_s = 540", "expected"]),
-        ("03", {"methods": {"icp": ["icp", "icp"]}, "drawn": ["icp"]}, ["'icp' twice"]),
         ("03", {"trajectory": ["orbit", "orbit"]}, ["'orbit' twice"]),
         ("03", {"methods": {"icp": ["best"], "gicp": ["best"]}, "drawn": ["best"]}, ["methods = ", "'best' twice"]),
         ("04", {"overrides": {"hough.dx_m": 0.05}}, ["hough.dx_m = 0.05", "the family 'clouds'"]),
@@ -119,17 +103,17 @@ def test_every_parameter_of_every_notebook_refuses_what_it_cannot_be(path: Path)
         ("06", {"cloud_seeds": {"heavi": [1]}}, ["cloud_seeds = 'heavi'"]),
         ("06", {"cloud_seeds": {"heavy": ["report"]}}, ["cloud_seeds.heavy = ['report']", "numbers"]),
         ("06", {"seeds": ["report"]}, ["seeds = ['report']", "numbers"]),
-        ("07", {"overrides": {"flight.trajectory": "loops"}}, ["'zigzag'", "'loops'"]),
         ("07", {"overrides": {"flight": {"trajectory": "loops"}}}, ["'zigzag'", "'loops'"]),
         ("07", {"seeds": [1, 2], "overrides": {"seed": 1}}, ["seed = 2, and 1 in the overrides"]),
-        ("07", {"seeds": [1], "overrides": {"seed": 5}}, ["seed = 1, and 5 in the overrides"]),
         ("07", {"tower": ["tapered", "light"], "overrides": {"tower": "light"}}, ["tower = 'tapered', and 'light'"]),
-        ("07", {"seeds": []}, ["seeds = []"]),
         ("07", {"tower": ["tapered", "hevy"]}, ["tower = 'hevy'"]),
         ("08", {"study_folder": "results"}, ["study_folder = 'results'", "runs.parquet"]),
         ("10", {"methods": ["orb", "lam"]}, ["methods = 'lam', did you mean 'loam'"]),
-        ("11", {"flights": ["plannd"]}, ["flights = 'plannd', did you mean 'planned'"]),
-        ("11", {"overrides": {"flight.trajectory": "loops"}}, ["flight.trajectory = 'loops': 'zigzag'"]),
+        (
+            "11",
+            {"flights": ["loops", "plannd"]},
+            ["flights = 'plannd', did you mean 'planned'?: expected one of 'zigzag'"],
+        ),
         ("11", {"overrides": {"flight.standoff_m": 3.0}}, ["flight.standoff_m = 3.0: 'wide loops' sets it to 2.4"]),
         ("12", {"starts_folder": "notebooks"}, ["starts_folder = 'notebooks'", "starts.csv"]),
         ("12", {"claims_file": "no.toml"}, ["claims_file = 'no.toml'"]),
@@ -172,14 +156,9 @@ def test_a_reader_s_own_edits_are_checked_against_the_committed_cell(shell: Inte
     source = cell_of(next(path for path in NOTEBOOKS if path.stem.startswith("02")))
     run(shell, source.replace("draws = 4", "draws = 2 + 2"))
     parameters.validate()
-    for old, new, words in [
-        ("draws = 4", 'draws = "four"', "draws = 'four'"),
-        ('"vertical"  #', "[]  #", "trajectory"),
-    ]:
-        assert old in source
-        run(shell, source.replace(old, new))
-        with pytest.raises(InputError, match=words):
-            parameters.validate()
+    run(shell, source.replace("draws = 4", 'draws = "four"'))
+    with pytest.raises(InputError, match="draws = 'four'"):
+        parameters.validate()
 
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
@@ -268,39 +247,28 @@ def test_every_notebook_validates_its_parameters_before_anything_else(path: Path
 
 
 def test_papermill_alone_ends_in_one_clear_error(tmp_path: Path) -> None:
-    path = next(path for path in NOTEBOOKS if path.stem.startswith("00"))
+    path = next(path for path in NOTEBOOKS if path.stem.startswith("12"))
     with pytest.raises(papermill.PapermillExecutionError) as caught:
         papermill.execute_notebook(path, tmp_path / "out.ipynb", {"sed": 1}, progress_bar=False, cwd=path.parent)
     assert caught.value.ename == "InputError"
     assert caught.value.evalue.startswith("parameters: sed = 1")
 
 
-@pytest.mark.parametrize(
-    ("text", "value"),
-    [
-        ("a = 1.5", 1.5),
-        ("a=True", True),
-        ("a=true", True),
-        ("a=loops", "loops"),
-        ("a='2'", "2"),
-        ("a=x=y", "x=y"),
-        ("a=random-walk+yaw-random-walk:0.001", "random-walk+yaw-random-walk:0.001"),
-        ("a=['x', 2]", ["x", 2]),
-        ("a=[true]", [True]),
-        ("a={ b = 1 }", {"b": 1}),
-        ("a=2024-01-01", "2024-01-01"),
-        ("a=", ""),
-    ],
-)
-def test_parse_parameter(text: str, value: object) -> None:
-    name, parsed = parse_parameter(text)
-    assert (name, parsed, type(parsed)) == ("a", value, type(value))
+READ = {
+    "a = 1.5": 1.5, "a=True": True, "a=true": True, "a=loops": "loops", "a='2'": "2", "a=x=y": "x=y",
+    "a=random-walk+yaw-random-walk:0.001": "random-walk+yaw-random-walk:0.001", "a=['x', 2]": ["x", 2],
+    "a=[true]": [True], "a={ b = 1 }": {"b": 1}, "a=2024-01-01": "2024-01-01", "a=": "",
+}  # fmt: skip
 
 
-@pytest.mark.parametrize("text", ["a", "=1", ""])
-def test_parse_parameter_refuses(text: str) -> None:
-    with pytest.raises(InputError, match="NAME=VALUE"):
-        parse_parameter(text)
+@pytest.mark.parametrize("text", [*READ, "a", "=1", ""])
+def test_a_parameter_is_read_as_python_as_toml_or_as_text(text: str) -> None:
+    if text in READ:
+        name, parsed = parse_parameter(text)
+        assert (name, parsed, type(parsed)) == ("a", READ[text], type(READ[text]))
+    else:
+        with pytest.raises(InputError, match="NAME=VALUE"):
+            parse_parameter(text)
 
 
 @pytest.mark.parametrize(
@@ -339,10 +307,3 @@ def test_notebooks_without_plain_parameters_are_refused(
         read_parameters(tmp_path / "a.ipynb")
     with pytest.raises(InputError, match="none"):
         read_parameters(tmp_path / "none.ipynb")
-
-
-def test_a_name_that_a_parameter_does_not_know_is_refused_with_the_nearest():
-    check_names("flights", ["loops", "planned"], ("loops", "planned", "up a face"))
-    with pytest.raises(InputError, match="flights = 'plannd', did you mean 'planned'") as caught:
-        check_names("flights", ["loops", "plannd"], ("loops", "planned"))
-    assert str(caught.value).endswith("expected one of 'loops', 'planned'")

@@ -30,6 +30,12 @@ def runs():
     )
 
 
+@pytest.fixture(scope="module")
+def flown(runs):
+    """The flight of the runs, simulated once more, and its truth."""
+    return experiment.simulate(runs[0].settings)
+
+
 def test_runs_of_one_flight_share_it_and_are_named_by_their_case(runs):
     assert all(run.truth is runs[0].truth for run in runs)
     assert [tables.map_kind(run.settings) for run in runs] == ["re-voxelised", "weighted", "re-voxelised"]
@@ -56,28 +62,26 @@ def test_a_table_becomes_one_flat_map_of_its_finite_numbers():
     assert tables.flat(rows.set_index("case"), columns=["n"]) == {"a.n": 3.0, "b.n": 4.0}
 
 
-def test_paired_clouds_hold_the_same_returns_at_two_poses(runs):
-    flight, _ = experiment.simulate(runs[0].settings)
-    built, true = paired_clouds(flight, runs[0], runs[0].truth, runs[0].settings.odometry.preprocess)
-    assert [len(cloud) for cloud, _ in assembled_clouds(runs)] == [len(built)] * 3
-    for own, both in zip(assembled_clouds(runs[:1])[0], (built, true), strict=True):
-        np.testing.assert_array_equal(own, both)
+def test_paired_clouds_hold_the_same_returns_at_two_poses(runs, flown):
+    built, true = paired_clouds(flown[0], runs[0], runs[0].truth, runs[0].settings.odometry.preprocess)
+    first, *others = assembled_clouds(runs)
+    assert [len(cloud) for cloud, _ in others] == [len(built)] * 2
+    np.testing.assert_array_equal(first, (built, true))
     assert built.shape == true.shape
     off = np.linalg.norm(built - true, axis=1)
     assert off.max() < 2 * runs[0].metrics["error_max_m"] + 0.05
     assert off.max() > 0
 
 
-def test_starts_at_the_truth_converge_and_far_ones_do_not(runs):
-    flight, truth = experiment.simulate(runs[0].settings)
+def test_starts_at_the_truth_converge_and_far_ones_do_not(runs, flown):
     starts = np.array([[0.0, 0.0, 0.0], [0.03, 0.0, 0.0], [3.0, 0.0, 0.0]])
-    basin = find_basin(runs[0].settings, flight, truth, 15, starts)
+    basin = find_basin(runs[0].settings, *flown, 15, starts)
     assert basin["right"].tolist() == [True, True, False]
     assert (basin[["right", "wrong", "refused"]].sum(axis=1) == 1).all()
     assert (basin["wrong"] == basin["stayed"] | basin["locked"]).all()
     segments = ExperimentSettings.preset(noise="none", method="least_squares", duration_s=5.0)
     with pytest.raises(InputError, match="'least_squares' is of the family 'segments'"):
-        find_basin(segments, flight, truth, 0, starts)
+        find_basin(segments, *flown, 0, starts)
 
 
 def test_the_report_s_experiments_have_its_samples_and_its_curves():
