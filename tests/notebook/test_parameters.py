@@ -1,6 +1,5 @@
 """Parameters of notebooks: misspelt names, wrong types and values out of range are refused."""
 
-import ast
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -26,14 +25,10 @@ DEFAULTS = {
     ("given", "words"),
     [
         ({"trajectry": "loops"}, ["e: trajectry", "did you mean 'trajectory'", "count"]),
-        ({"value": "fast"}, ["value = 'fast'", "a valid number"]),
-        ({"value": float("nan")}, ["value = nan", "a finite number"]),
         ({"value": 10**400}, ["value = 1"]),
         ({"value": True}, ["value = True"]),
         ({"count": 1.5}, ["count = 1.5", "integer"]),
         ({"deep": 1}, ["deep = 1", "boolean"]),
-        ({"trajectory": 5}, ["trajectory = 5", "string"]),
-        ({"noise": "random-walk"}, ["noise = 'random-walk'", "a valid list"]),
         ({"noise": ["random-walk", 3]}, ["noise.1 = 3", "string"]),
         ({"blind_s": [[1.0], 2.0]}, ["blind_s.1 = 2.0", "list"]),
         ({"seeds": [1, "two"]}, ["seeds.1 = 'two'", "'report'"]),
@@ -237,13 +232,6 @@ def test_what_papermill_injects_takes_the_type_of_its_default(shell: Interactive
     run(shell, "!true\nsed = 2  # a name of the notebook's own")
     parameters.validate()
     assert (shell.user_ns["seed"], repr(shell.user_ns["duration_s"])) == (1, "30.0")
-
-
-@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
-def test_every_notebook_validates_its_parameters_before_anything_else(path: Path) -> None:
-    code = [cell.source for cell in nbformat.read(path, 4).cells if cell.cell_type == "code"]
-    statements = [node for node in ast.parse(code[1]).body if not isinstance(node, ast.Import | ast.ImportFrom)]
-    assert ast.unparse(statements[0]) == "parameters.validate()"
 
 
 def test_papermill_alone_ends_in_one_clear_error(tmp_path: Path) -> None:
