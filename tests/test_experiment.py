@@ -15,7 +15,7 @@ from steelnb.settings import ExperimentSettings
 @pytest.fixture(scope="module")
 def runs():
     noises, methods = ["random-walk", "constant-drift:0.0004"], ["none", "average", "least_squares"]
-    flown = {"seeds": [3], "trajectories": ["zigzag"], "sensors": ["starling2"], "duration_s": 16.0}
+    flown = {"seeds": [3], "trajectories": ["zigzag"], "sensors": ["starling2"], "duration_s": 11.0}
     return run_all([run.settings for run in grid(noises=noises, methods=methods, **flown)])
 
 
@@ -35,7 +35,7 @@ def test_the_map_is_better_with_correction(runs):
 
 
 def test_a_comparison_is_its_single_runs(runs):
-    settings = ExperimentSettings.preset("zigzag", "random-walk", "least_squares", "starling2", 3, 16.0)
+    settings = ExperimentSettings.preset("zigzag", "random-walk", "least_squares", "starling2", 3, 11.0)
     seen = []
     alone = experiment.run(settings, seen.append)
     assert alone.metrics == runs[2].metrics

@@ -231,6 +231,8 @@ def test_the_structure_notebook_rebuilds_towers_and_hands_one_over(results, fold
     first, other = (table[table["tower"] == name] for name in ("tapered", "light"))
     assert (len(first), len(other)) == (3 * 2, 2)
     rows = first.set_index(["poses", "method"])
+    error_m = rows["ate_rmse_m"].xs("final", level="method")
+    assert error_m["raw"] > error_m["corrected"] > error_m["true"] == 0
     exact, fixed = (rows.loc[(poses, "final")] for poses in ("true", "corrected"))
     assert exact["recall"] > 0.5
     assert exact["precision"] > 0.85
@@ -251,6 +253,7 @@ def test_the_structure_notebook_rebuilds_towers_and_hands_one_over(results, fold
         for flight in flights:
             axes = ("middle of points", "section fitted")
             middle, fitted = (abs(numbers[f"{flight}.near_side.{axis}.all.median_m"]) for axis in axes)
+            assert middle > 0.004, flight
             assert fitted < share * middle, flight
 
 
