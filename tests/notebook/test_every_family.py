@@ -1,4 +1,5 @@
-"""Notebooks with a list of methods run with one of each family, in this process and on flights that they share."""
+"""Notebooks with a list of methods run with one of each family, in this process and on flights that they share. What
+05 does with its methods, 02 and 03 do as well."""
 
 import json
 from pathlib import Path
@@ -33,7 +34,6 @@ def flights(tmp_path_factory):
             "03_icp_odometry",
             {"trajectory": ["vertical"], "methods": {"average": ONE_EACH}, "drawn": ONE_EACH, "draws": 2},
         ),
-        ("05_yaw_drift", {"methods": {"average": ONE_EACH}, "mapped": ONE_EACH, "drawn": ONE_EACH}),
     ],
 )
 def test_a_method_of_each_family_works_in(notebook: str, given: dict, flights: None, tmp_path: Path) -> None:

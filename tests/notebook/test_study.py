@@ -138,7 +138,7 @@ def test_a_killed_study_loses_only_the_current_runs(plain, tmp_path, made, monke
     process = subprocess.Popen(command, stderr=subprocess.DEVNULL)
     while len(stored) < 2:
         assert process.poll() is None
-        time.sleep(0.01)
+        time.sleep(0.1)
         stored = [*tmp_path.glob(f"{study.KEPT}/**/output.pkl")]
     processes = [*psutil.Process(process.pid).children(recursive=True), process]
     for each in processes:
