@@ -84,7 +84,11 @@ def note() -> None:
         base = literals(own) if injected else defaults
         base.pop(FOLDER, None)
         if ids and not any(values == {**base, **full} for id in ids for full in _full(experiments[id])):
-            _tell(f"results/{ids[0]}")
+            from IPython.display import display
+
+            text, folder = "These sentences describe the committed run ({}), not this one.", f"results/{ids[0]}"
+            link = text.format(f'<a href="../{folder}">{folder}</a>')
+            display({"text/plain": text.format(folder), "text/html": f"<b>{link}</b>"}, raw=True)
 
 
 def _full(experiment: Mapping[str, Any]) -> list[dict[str, Any]]:
@@ -93,14 +97,6 @@ def _full(experiment: Mapping[str, Any]) -> list[dict[str, Any]]:
     return [
         {**experiment["full"], **dict(zip(matrix, each, strict=True))} for each in itertools.product(*matrix.values())
     ]
-
-
-def _tell(folder: str) -> None:
-    from IPython.display import display
-
-    text = "These sentences describe the committed run ({}), not this one."
-    link = f'<a href="../{folder}">{folder}</a>'
-    display({"text/plain": text.format(folder), "text/html": f"<b>{text.format(link)}</b>"}, raw=True)
 
 
 def _cells() -> tuple[tuple[str, str] | None, dict[str, Any]]:
