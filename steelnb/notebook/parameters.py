@@ -49,10 +49,9 @@ def validate() -> None:
     nothing without IPython, or in a notebook without a parameter `FOLDER`. Raises `InputError`, and `OutputError` for a
     folder of results that cannot be written or holds files that are not a notebook's.
     """
-    cells, names = _cells()
-    if cells is None:
+    own, injected, names = _cells()
+    if not own:
         return
-    own, injected = cells
     given = [name for name in assigned(injected or own) if name != FOLDER]
     tracked = {} if injected else next(iter(_tracked(own).values()), {})
     defaults = {**{name: names[name] for name in assigned(own)}, **(literals(own) if injected else tracked)}
@@ -69,10 +68,9 @@ def note() -> None:
     The committed ones are those of the full budget of one of its experiments in `EXPERIMENTS_FILE`. Does nothing
     without IPython, or in a notebook that is none of the project's.
     """
-    cells, _ = _cells()
-    if cells is None:
+    own, injected, _ = _cells()
+    if not own:
         return
-    own, injected = cells
     try:
         values = {**literals(own), **literals(injected)}
     except ValueError:  # an expression, which is not what is committed
@@ -99,18 +97,18 @@ def _full(experiment: Mapping[str, Any]) -> list[dict[str, Any]]:
     ]
 
 
-def _cells() -> tuple[tuple[str, str] | None, dict[str, Any]]:
-    """The cell of parameters of the running notebook and the one that papermill injected, empty for none, and the
-    names of its kernel. None without a kernel or without such a cell."""
+def _cells() -> tuple[str, str, dict[str, Any]]:
+    """The cell of parameters of the running notebook and the one that papermill injected, each empty for none, and the
+    names of its kernel."""
     loaded = sys.modules.get("IPython")  # which a kernel has loaded
     shell = loaded.get_ipython() if loaded else None
     if shell is None:
-        return None, {}
+        return "", "", {}
     cells = shell.user_ns["In"]
     place = max((k for k, cell in enumerate(cells) if cell.startswith(INJECTED)), default=len(cells))
     tagged = [cell for cell in cells[:place] if f"\n{FOLDER} = " in cell and not cell.startswith(INJECTED)]
     injected = cells[place] if place < len(cells) else ""
-    return ((tagged[-1], injected) if tagged else None), shell.user_ns
+    return tagged[-1] if tagged else "", injected, shell.user_ns
 
 
 def _tracked(source: str) -> dict[str, dict[str, Any]]:

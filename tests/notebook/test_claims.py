@@ -105,8 +105,6 @@ def test_levels_ratios_and_ranges():
     ratio = judged(claim(metric="ms", form="ratio", comparison="between", threshold=[2.5, 3.5]), table)
     assert ratio.verdict == HOLDS
     assert ratio.cells["estimate"].to_numpy() == pytest.approx([3.0] * 4, abs=0.05)
-    narrow = claim(metric="ms", form="ratio", comparison="between", threshold=[3.2, 3.5])
-    assert judged(narrow, table).verdict == FAILS
     # A ratio of means, even where a seed has nothing to compare with.
     table.loc[table["seed"] == 3, "ms"] = 0.0
     some = judged(claim(metric="ms", form="ratio", comparison="above", threshold=[2.5]), table)
@@ -115,8 +113,6 @@ def test_levels_ratios_and_ranges():
     table = table[table["seed"] != 3]
     level = claim(metric="ms", form="level", a={"method": "two"}, b={}, threshold=[8.0])
     assert judged(level, table).verdict == FAILS
-    assert judged(level.replace(threshold=[10.0]), table).verdict == HOLDS
-    assert judged(level.replace(threshold=[8.0], comparison="above"), table).verdict == HOLDS
 
 
 def test_a_ratio_s_interval_holds_the_true_ratio_and_is_unbounded_over_nothing():
