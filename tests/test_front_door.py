@@ -26,9 +26,6 @@ def test_an_unknown_name_is_refused():
         steelnb.detect_planes  # noqa: B018
 
 
-def run(code):
-    return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.strip()
-
-
 def test_the_import_alone_is_light():
-    assert run(f"import sys, steelnb; print(sorted({set(HEAVY)!r} & set(sys.modules)))") == "[]"
+    command = [sys.executable, "-c", f"import sys, steelnb; print(sorted({set(HEAVY)!r} & set(sys.modules)))"]
+    assert subprocess.run(command, capture_output=True, check=True).stdout.strip() == b"[]"
