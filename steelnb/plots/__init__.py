@@ -5,12 +5,9 @@ from steelnb.plots.draw import (
     draw_flight,
     draw_judged_bars,
     draw_lines,
-    draw_paths,
     draw_tower,
     end_points,
     figure_clouds,
-    frame_perspective,
-    project_perspective,
     thinned,
 )
 from steelnb.plots.style import (
@@ -30,6 +27,6 @@ from steelnb.plots.style import (
 
 __all__ = [
     "BANDS", "BLACK", "BLUE", "COLOURS", "CURVES", "GREY", "LABELS", "ORANGE", "Figure", "draw_bars", "draw_flight",
-    "draw_judged_bars", "draw_lines", "draw_paths", "draw_tower", "end_points", "figure_clouds", "frame_perspective",
-    "gather_bar", "gather_legend", "project_perspective", "thinned", "use",
+    "draw_judged_bars", "draw_lines", "draw_tower", "end_points", "figure_clouds", "gather_bar", "gather_legend",
+    "thinned", "use",
 ]  # fmt: skip

@@ -9,18 +9,8 @@ from numpy.typing import NDArray
 from steelnb.core.arguments import checks_arguments
 from steelnb.core.types import Array, Segments, Trajectory
 from steelnb.metrics import position_error_m
-from steelnb.plots import (
-    COLOURS,
-    Figure,
-    draw_bars,
-    draw_lines,
-    end_points,
-    frame_perspective,
-    gather_legend,
-    project_perspective,
-    thinned,
-)
-from steelnb.plots.draw import in_view
+from steelnb.plots import COLOURS, Figure, draw_bars, draw_lines, end_points, gather_legend, thinned
+from steelnb.plots.draw import frame_perspective, in_view, project_perspective
 from steelnb.plots.style import drawable, style
 
 POINTS_MAX, MARGIN_M = 60_000, 1.0
