@@ -9,6 +9,7 @@ from steelnb.core.errors import InputError
 from steelnb.core.types import Array
 from steelnb.metrics import bend
 from steelnb.metrics.clouds import paired_clouds
+from steelnb.notebook.runs import Flights
 from steelnb.simulation import Tower
 
 BENDS = ("bend_deg", "tilt_max_deg", "yaw_max_deg", "offset_max_m", "blur_mean_m")
@@ -17,12 +18,10 @@ BENDS = ("bend_deg", "tilt_max_deg", "yaw_max_deg", "offset_max_m", "blur_mean_m
 
 def assembled_clouds(results: Sequence[experiment.Result]) -> list[tuple[Array, Array]]:
     """The points of each run at its estimated and at the true poses (`paired_clouds`). Flights are simulated again; a
-    flight that several runs share, once."""
-    settings = {experiment.world(result.settings): result.settings for result in results}
-    flights = {world: experiment.simulate(one)[0] for world, one in settings.items()}
+    flight that runs in a row share, once."""
+    flights = Flights()
     return [
-        paired_clouds(flights[experiment.world(one.settings)], one, one.truth, one.settings.odometry.preprocess)
-        for one in results
+        paired_clouds(flights(one.settings)[0], one, one.truth, one.settings.odometry.preprocess) for one in results
     ]
 
 
