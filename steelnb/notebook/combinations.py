@@ -4,7 +4,6 @@ Every check is bound to the name of a parameter and sees the values of all. Libr
 imported by the checks that need them, so that a refusal takes no longer than the start of a kernel.
 """
 
-import inspect
 import itertools
 import math
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
@@ -27,6 +26,10 @@ from steelnb.settings import METHODS, TOWERS, ExperimentSettings, OrbSettings
 from steelnb.settings.experiment import ARGUMENTS, check_given_once
 from steelnb.settings.noise import Noise, at_level
 
+WORLD = "seed", "duration_s", "overrides", "tower"
+BASIN = "trajectory", "noise", "sensor", "correspondence_m", *WORLD
+"""The parameters that `world_cases` and `basin_cases` have arguments for."""
+PRESET_ARGUMENTS = "trajectory", "noise", "method", "sensor", "seed", "duration_s", "overrides", "tower"
 DRIFT_MIN_S = 60.0
 """Step of notebook 01's table of drifts."""
 SIDE_MAX = 100
@@ -57,7 +60,7 @@ def _all(value: Any) -> list[Any]:
 
 def _combinations(values: Values) -> Iterator[dict[str, Any]]:
     """The arguments of `ExperimentSettings.preset` for every combination of the values in lists."""
-    named = {name: _all(value) for name, value in _given(values, ExperimentSettings.preset).items()}
+    named = {name: _all(values[name]) for name in PRESET_ARGUMENTS if name in values}
     if isinstance(values.get("seeds"), list):
         named["seed"] = values["seeds"]
     for combination in itertools.product(*named.values()) if named else ():
@@ -67,23 +70,23 @@ def _combinations(values: Values) -> Iterator[dict[str, Any]]:
         yield given
 
 
-def _given(values: Values, make: Callable[..., Any]) -> dict[str, Any]:
-    """The parameters of a notebook that a function has arguments for."""
-    return {name: values[name] for name in inspect.signature(make).parameters if name in values}
+def _given(values: Values, *names: str) -> dict[str, Any]:
+    """The parameters of these names that a notebook has."""
+    return {name: values[name] for name in names if name in values}
 
 
 def _experiments(values: Values) -> None:
     """Make the settings of all experiments of the notebook that has these parameters."""
     if "drift_s" in values:
-        world_cases(**_given(values, world_cases))
+        world_cases(**_given(values, *WORLD))
     elif "correspondence_m" in values:
-        basin_cases(**_given(values, basin_cases))
-        slip_cases(**_given(values, slip_cases))
+        basin_cases(**_given(values, *BASIN))
+        slip_cases(**_given(values, *BASIN, "blind_s"))
     elif "flights" in values:
-        planner_cases(**_given(values, planner_cases))
+        planner_cases(**_given(values, "flights", "noise", "method", "sensor", "seed", "duration_s", "overrides"))
     elif methods := _flown(values):
-        given = _given(values, report_cases) | {"trajectory": _all(values["trajectory"]), "methods": methods}
-        for case in with_earlier_runs(report_cases(**given)):
+        given = _given(values, "noise", "sensor", *WORLD)
+        for case in with_earlier_runs(report_cases(_all(values["trajectory"]), methods=methods, **given)):
             if "draws" in values:
                 case.check_draws()
     else:
@@ -169,7 +172,7 @@ def _check_cloud_seeds(values: Values) -> None:
 def _check_poor_starts(values: Values) -> None:
     from steelnb.notebook.basin import MAP_EVERY
 
-    case = next(iter(basin_cases(**_given(values, basin_cases)).values()))
+    case = next(iter(basin_cases(**_given(values, *BASIN)).values()))
     scans = (case.flight.duration_s - case.tof.start_s) * case.tof.rate_hz
     most = len(range(MAP_EVERY // 2, math.ceil(scans), MAP_EVERY))
     if values["poor_starts"] > most:
