@@ -1,10 +1,11 @@
 """Every page is followed literally: its files are saved, its commands and its Python run, in order. Links point to
-existing files."""
+existing files, and numbers on the first page agree with its files."""
 
 import contextlib
 import doctest
 import importlib
 import io
+import json
 import re
 import shlex
 import sys
@@ -131,5 +132,18 @@ def test_the_files_that_a_page_links_are_there(page):
     assert [link for link in links if not (ROOT / page).parent.joinpath(link).exists()] == []
 
 
-def test_the_first_page_is_short():
-    assert (ROOT / "README.md").stat().st_size <= 4096
+def numbers(experiment: str) -> dict[str, float]:
+    return json.loads((ROOT / f"results/{experiment}/metrics.json").read_text(encoding="utf-8"))
+
+
+def test_the_first_page_is_short_and_its_numbers_are_those_of_the_results():
+    page = (ROOT / "README.md").read_text(encoding="utf-8")
+    assert len(page.encode()) <= 4096
+    segments, clouds = numbers("segmentation-odometry-draws"), numbers("cloud-odometry-draws")
+    faults = numbers("honest-sensors")
+    for flight, other in (("vertical", "zigzag"), ("orbit", "loops")):
+        bars = segments[f"{flight}-report.band.report-segments.mean_m"]
+        points = [clouds[f"random-walk-report.band.3.5 {flight} {name}.mean_m"] for name in ("icp", "icp-3dof", "gicp")]
+        assert f"{bars:.3f}; " + " / ".join(f"{each:.3f}" for each in points) in page
+        ideal, real = (1e3 * faults[f"{other}.faces.{case}.ate_mean_m"] for case in ("ideal", "honest"))
+        assert f"{ideal:.0f}; {real:.0f} mm" in page
