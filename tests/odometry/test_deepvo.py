@@ -141,7 +141,7 @@ def test_black_frames_add_no_motion_and_have_a_reason(world):
 
 
 def test_only_first_pose_and_attitude_of_the_prior_are_used(world):
-    flight, _ = world
+    flight = world[0].first(12)
     prior = flight.prior.T_world_drone.copy()
     steps = flown(flight)[1]
     np.testing.assert_allclose(steps[0].T_world_drone, prior[0], atol=1e-12)

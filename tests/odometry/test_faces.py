@@ -154,7 +154,7 @@ def _points_and_start(estimator, scan, prior):
 
 def test_scans_from_afar_are_registered_too():
     """With few points on each bar, the position is known to 5 to 10 mm, which is better than by clouds."""
-    settings = ExperimentSettings.preset("loops", "random-walk", "faces", seed=11, duration_s=30.0)
+    settings = ExperimentSettings.preset("loops", "random-walk", "faces", seed=11, duration_s=24.0)
     settings = settings.override({"flight.standoff_m": 3.4})
     flight, truth = experiment.simulate(settings)
     estimator = make_odometry(settings.odometry, flight.T_drone_sensor)
