@@ -26,7 +26,7 @@ from tests import naive
 
 @pytest.fixture(scope="module")
 def world():
-    return experiment.simulate(ExperimentSettings.preset("loops", seed=13, duration_s=16.0, method="deepvo"))
+    return experiment.simulate(ExperimentSettings.preset("loops", seed=13, duration_s=12.0, method="deepvo"))
 
 
 def flown(flight, scans=None, prior=None):

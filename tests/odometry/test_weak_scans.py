@@ -9,7 +9,7 @@ from steelnb.settings import OdometrySettings, TofSettings
 from steelnb.simulation.raycasting import rays
 from steelnb.simulation.tof import measured_ranges
 
-X_M, SCANS = 2.0, 60
+X_M, SCANS = 2.0, 40
 
 
 def before_a_wall(sensor, seed, corner=False, **changed):
