@@ -6,9 +6,6 @@ import numpy as np
 
 from steelnb.core.types import Array
 
-NONE = np.zeros((0, 3))
-"""No directions."""
-
 
 class RegisteredPose(NamedTuple):
     """The pose ``(4, 4)`` of a registered scan, and what determines it.
@@ -19,7 +16,7 @@ class RegisteredPose(NamedTuple):
     """
 
     T_world_drone: Array
-    unobserved: Array = NONE
+    unobserved: Array = np.zeros((0, 3))
     H: Array = np.zeros((6, 6))
     arm: Array = np.zeros(3)
 

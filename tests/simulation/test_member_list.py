@@ -24,8 +24,8 @@ CENTRE = np.array([-0.041, -0.073, 0.0])
 HALF_WIDTH_M = {0.0: 1.878, 2.93: 1.452, 5.99: 1.009, 8.04: 0.709, 8.955: 0.577, 12.0: 0.577, 15.9: 0.577}
 BRACE_ENDS_M = (0.0, 5.04, 7.04, 8.955, 10.36, 11.77, 13.18, 14.59, 16.0)
 CROSSINGS_M = (2.93, 5.99, 8.04, 9.67, 11.07, 12.46, 13.88, 15.28)
-ARMS_M = {9.725: 2.5, 11.805: 3.25, 13.9: 3.82}
-"""Height of the deck of an arm: reach of its tip."""
+ARMS_M = {9.667: (8.955, 2.5, 9.725), 11.765: (11.069, 3.25, 11.805), 13.877: (13.177, 3.82, 13.9)}
+"""Height of the top chord: that of the lower chord at the body, reach of the tip, height of the deck."""
 CORNERS = np.array([(1, 1), (-1, 1), (-1, -1), (1, -1)])
 FACES = np.array([(1, 0), (0, 1), (-1, 0), (0, -1)])
 HEADER = ",".join(COLUMNS)
@@ -58,6 +58,12 @@ def through(tower, joint, kind):
     """The members of a kind on a joint, as the end points of their axes."""
     return [axis for axis, member in zip(tower.axes, tower.members, strict=True)
             if joint in member.joints and member.kind == kind]  # fmt: skip
+
+
+def is_member(tower, start, end, kind, near=NEAR_M):
+    axes = tower.axes[[member.kind == kind for member in tower.members]] - CENTRE
+    both = np.stack([axes, axes[:, ::-1]])
+    return (np.linalg.norm(both - [start, end], axis=3).max(axis=2) <= near).any()
 
 
 def hit(scene, position, direction):
@@ -97,11 +103,25 @@ def test_braces_end_on_the_legs_and_cross_at_a_strut_on_all_faces(tower):
         assert sum(np.linalg.norm(b - a) for a, b in struts) == pytest.approx(2 * width_at(z), abs=0.03)
 
 
+def test_hip_diagonals_rings_and_arms_are_where_the_pictures_show_them(tower):
+    middle = np.array([0.0, 0.0, 2.93])
+    for k, corner in enumerate(CORNERS):
+        assert is_member(tower, [*corner * 1.878, 0.0], middle, "bracing")
+        assert is_member(tower, middle, [*-corner * width_at(5.037), 5.037], "bracing")
+        assert not is_member(tower, [*corner * width_at(5.037), 5.037], (0, 0, 5.986), "bracing"), "none higher"
+        for z in (8.955, 15.996):
+            assert is_member(tower, [*corner * width_at(z), z], [*CORNERS[k - 1] * width_at(z), z], "ring")
+        for top, (low, tip, _) in ARMS_M.items():
+            x, y = corner * (tip, 0.09)
+            assert is_member(tower, [*corner * 0.577, top], (x, 0, top), "arm", near=0.03)
+            assert is_member(tower, [*corner * 0.577, low], (x, y, top - 0.05), "arm", near=0.03)
+
+
 def test_walkways_of_half_a_metre_lie_on_the_arms(tower, scene):
-    for deck, tip in ARMS_M.items():
+    for z, (_, tip, deck) in ARMS_M.items():
         for x, y in itertools.product((-0.9, -0.4, 0.4, 0.9), (-0.2, 0.0, 0.2)):
             down, member = hit(scene, (x * tip, y, deck + 0.3), (0, 0, -1))
-            assert (down, member) == (pytest.approx(0.3, abs=0.04), ON_PLATE), (x, y, deck)
+            assert (down, member) == (pytest.approx(0.3, abs=0.04), ON_PLATE), (x, y, z)
         beside, member = hit(scene, (0.3 * tip, 0.35, deck + 0.1), (0, 0, -1))
         assert member != ON_PLATE or beside > 1.0, "not the triangle between the chords"
     assert hit(scene, (2.0, 0.5, 12.2), (0, 0, -1)) == (pytest.approx(0.4, abs=0.06), ON_PLATE)  # a balcony

@@ -54,6 +54,17 @@ def test_the_drone_stands_still_before_it_flies(name):
     np.testing.assert_allclose(calm.position[-1], moved.position[-1], atol=2e-3)
 
 
+def test_the_orbit_climbs_at_the_corner_behind_the_first_face():
+    """As in the published file: level 1 flies the first face twice, and each climb begins at (2.5, 2.5)."""
+    np.testing.assert_allclose(at("orbit", 20)[0, :3], [2.5, 2.5, 0.6], atol=1e-9)
+    for k, height in enumerate((0.6, 2, 4, 6)):
+        before, after, next_corner = at("orbit", 120 + 100 * k, 125 + 100 * k, 145 + 100 * k)
+        np.testing.assert_allclose(before[:3], [2.5, 2.5, height], atol=1e-9)
+        np.testing.assert_allclose(after[:3], [2.5, 2.5, (2, 4, 6, 8)[k]], atol=1e-9)
+        np.testing.assert_allclose(next_corner[:2], [2.5, -2.5], atol=1e-9)
+    np.testing.assert_allclose(at("orbit", 500, 545)[:, :3], [[-2.5, 2.5, 8], [0.5, 2.5, 0.1]], atol=1e-9)
+
+
 @pytest.mark.parametrize(
     ("name", "heights", "first_s", "level_s"),
     [("orbit", (0.6, 2, 4, 6, 8), 25, 100), ("orbit-3.3", np.linspace(0.6, 7, 6), 8.5, 34)],
