@@ -10,12 +10,12 @@ from steelnb.odometry import CloudOdometry, clouds, drift_filter
 from steelnb.points import VoxelMap, preprocess_scan
 from steelnb.settings import METHODS, ExperimentSettings, OdometrySettings
 
-NOISE = "constant-drift:0.0004+random-walk"
+NOISE = "constant-drift:0.0005+random-walk"
 
 
 @pytest.fixture(scope="module")
 def world():
-    settings = ExperimentSettings.preset("zigzag", NOISE, sensor="starling2", seed=3, duration_s=12.0, method="best")
+    settings = ExperimentSettings.preset("zigzag", NOISE, sensor="starling2", seed=3, duration_s=10.0, method="best")
     return settings, *experiment.simulate(settings)
 
 

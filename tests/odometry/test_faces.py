@@ -44,10 +44,10 @@ def moved(flight: Flight, T: np.ndarray) -> Flight:
 
 def test_it_is_nearer_to_the_truth_than_the_odometry_that_it_starts_from(world):
     flight, truth, _, found = world
-    before = odometry.run(flight, CloudOdometry(OdometrySettings.preset("best"), flight.T_drone_sensor))
-    late = flight.prior.stamp_s > 2 * REFIT_S
+    before = odometry.run(flight.first(100), CloudOdometry(OdometrySettings.preset("best"), flight.T_drone_sensor))
+    late = flight.prior.stamp_s[:100] > 2 * REFIT_S
     ours, clouds, drift = (
-        np.sqrt((position_error_m(path, truth.trajectory)[late] ** 2).mean())
+        np.sqrt((position_error_m(path, truth.trajectory)[:100][late] ** 2).mean())
         for path in (found.corrected, before.corrected, flight.prior)
     )
     assert ours < 0.7 * clouds < 0.1 * drift

@@ -119,7 +119,7 @@ def test_it_does_not_hit_mapped_obstacles(seed):
         return decision
 
     planner.decide = watched
-    fly(planner, steel, start, 20.0)
+    fly(planner, steel, start, 15.0)
     before, after = np.array(nearest).T
     # An obstacle that appears within the clearance is not approached further.
     assert (after > np.minimum(CLEARANCE_M - 0.05, before - 0.02)).all()
