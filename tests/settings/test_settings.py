@@ -48,10 +48,7 @@ from steelnb.simulation.tof import scan_steps
         ({"overrides": {"tof.rate": 5}}, "TofSettings: rate = 5: unknown setting, did you mean 'rate_hz'"),
         ({"overrides": {"radar.rate_hz": 5}}, "radar.rate_hz"),
         ({"overrides": {"tower.profile_m": ((0.0, 4.0), (20.0, 1.7), (16.0, 1.0))}}, "profile_m = .*rise from 0"),
-        (
-            {"overrides": {"tower.profile_m": ((0.0, 1.0), (9.0, 0.1), (16.0, 1.0))}},
-            "widths above that of a leg, 0.12 m",
-        ),
+        ({"overrides": {"tower.profile_m": ((0.0, 1.0), (9.0, 0.1), (16.0, 1.0))}}, "above that of a leg, 0.12 m"),
         ({"overrides": {"tower.arms_m": ((10.0, 3.0), (10.3, 3.0))}}, "arms at least 0.7 m apart"),
         ({"overrides": {"tower.arms_m": ((15.8, 3.0),)}}, "between the waist and the top"),
         ({"overrides": {"tof.columns": True}}, "columns = True"),
@@ -75,10 +72,7 @@ from steelnb.simulation.tof import scan_steps
         ({"overrides": {5: 1}}, "a name in overrides = 5: expected str"),
         ({"sensor": "report", "duration_s": 1.0, "overrides": {"tof.rate_hz": 1.0}}, "two scans, so more than 1 s"),
         ({"duration_s": 5.0, "overrides": {"tof.samples": [0, 625]}}, "leave 1 scans of tof.samples"),
-        (
-            {"duration_s": 5.0, "overrides": {"tof.samples": [0, 626]}},
-            r"tof.samples ends at step 626, 5.008 s: expected it within the flight's 5 s",
-        ),
+        ({"duration_s": 5.0, "overrides": {"tof.samples": [0, 626]}}, "ends at step 626, 5.008 s: expected it within"),
         ({"overrides": {"tof.samples": (5, 5)}}, "scan 1 at step 5, step 5 before it: expected steps that increase"),
         ({"overrides": {"tof.samples": (-1, 5)}}, "scan 0 at step -1, no step below 0"),
         ({"overrides": {"tof.samples": (1, 2.5)}}, "samples"),
