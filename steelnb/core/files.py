@@ -13,14 +13,12 @@ OVERWRITE = "--force (in Python, overwrite=True)"
 
 
 @contextmanager
-def reading(path: Path | str, form: str, folder: bool = False) -> Iterator[None]:
-    """Convert any exception of a file reader to a one-line `InputError`.
-
-    ``form``: the expected content, such as "a PLY file"; ``folder``: whether a folder is expected.
-    """
+def reading(path: Path | str, form: str) -> Iterator[None]:
+    """Convert any exception of a file reader to a one-line `InputError`; ``form``: the expected content, such as "a PLY
+    file"."""
     check_exists(path, form)
-    if os.path.isdir(path) != folder:
-        raise InputError(f"{path}: a {'file' if folder else 'folder'}; expected {form}")
+    if os.path.isdir(path):
+        raise InputError(f"{path}: a folder; expected {form}")
     with damaged(path, form):
         yield
 

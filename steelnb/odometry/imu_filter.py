@@ -16,14 +16,7 @@ world frame; Roumeliotis and Burdick, "Stochastic cloning" (ICRA 2002), for incr
 
 import numpy as np
 
-from steelnb.core.geometry import (
-    cross_matrix,
-    information_at,
-    moved_poses,
-    pose_difference,
-    twist_jacobian,
-    yaw_of,
-)
+from steelnb.core.geometry import cross_matrix, information_at, moved_poses, pose_difference, twist_jacobian, yaw_of
 from steelnb.core.types import GRAVITY, Array, Imu
 from steelnb.fusion.adjustment.drift_factors import DRIFT_PERIOD_S, FIXED, TILT_SIGMA_RAD, drift_variance
 from steelnb.fusion.adjustment.imu_factors import (

@@ -1,8 +1,7 @@
 """The loop that runs an odometry over a flight."""
 
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -44,12 +43,14 @@ def run(flight: Flight, odometry: Odometry, on_step: OnStep | None = None, befor
         checked_kind(scan, f"{flight.name}, scan {k}", Scan)
         _check_stamp(scan.stamp_s, f"{flight.name}, scan {k}", float(flight.prior.stamp_s[k]), "its pose")
         begin = time.perf_counter()
-        with _naming(odometry, k):
+        try:
             step = odometry.update(scan, flight.prior.T_world_drone[k].copy())  # which it may change
             update_s[k] = time.perf_counter() - begin
             # Checked again, as the odometry may have changed the array since.
             T_world_drone[k] = checked_pose(checked_kind(step, "its result", OdometryStep).T_world_drone, "its pose")
             _check_stamp(step.stamp_s, "its result", scan.stamp_s, "its scan")
+        except InputError as fault:
+            raise InputError(f"{type(odometry).__name__}.update, scan {k}: {fault}") from None
         steps.append(step)
         reason.append("" if step.used else scan.fault or step.reason or "not used")
         if on_step:
@@ -82,12 +83,3 @@ def _map_of(odometry: Odometry, method: str, default: Any) -> Any:
     if not callable(found):
         return default
     return checked_kind(found(), name, Segments) if isinstance(default, Segments) else checked_points(found(), name)
-
-
-@contextmanager
-def _naming(odometry: Odometry, k: int) -> Iterator[None]:
-    """Put the class of the odometry and the number of the scan before the message of an `InputError`."""
-    try:
-        yield
-    except InputError as fault:
-        raise InputError(f"{type(odometry).__name__}.update, scan {k}: {fault}") from None

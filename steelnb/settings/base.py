@@ -30,8 +30,6 @@ def _checked_seed(value: Any) -> rng.Seed:
 
 
 SeedOrReport = Annotated[rng.Seed, BeforeValidator(_checked_seed)]
-_SHOWN = 200
-"""Maximum number of characters of a value in a message."""
 
 
 class Settings(BaseModel):
@@ -120,7 +118,7 @@ def describe_fault(kind: type[Settings], fault: ValidationError) -> str:
         known, family = setting_names(kind), getattr(kind, "family", None)
         has = f"the family {family!r} has" if family else "expected one of"
         message = f"unknown setting{guess(name, known)}; {has} {', '.join(known)}"
-    return f"{kind.__name__}: {name} = {shown(first['input'], _SHOWN)}: {message}"
+    return f"{kind.__name__}: {name} = {shown(first['input'], size=200)}: {message}"
 
 
 def as_plain(value: Any, lists_as: type = tuple) -> Any:

@@ -12,9 +12,6 @@ K = np.array([[100.0, 0.0, 79.5], [0.0, 110.0, 59.5], [0.0, 0.0, 1.0]])
 def test_a_stamp_has_the_last_image_up_to_half_a_period_before_it(stamp_s, number):
     images = CameraImages(0.1 * np.arange(10), [], K, np.eye(4))
     assert images.at(stamp_s) == number
-
-
-def test_without_images_no_stamp_has_one():
     assert CameraImages(np.zeros(0), [], K, np.eye(4)).at(0.0) is None
 
 

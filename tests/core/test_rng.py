@@ -3,12 +3,6 @@ import numpy as np
 from steelnb.core import rng
 
 
-def test_a_stream_depends_only_on_seed_and_names():
-    first = rng.stream(1, "tof", 3).standard_normal(5)
-    rng.stream(1, "gust").standard_normal(100)
-    np.testing.assert_array_equal(rng.stream(1, "tof", 3).standard_normal(5), first)
-
-
 def test_streams_of_other_names_and_seeds_are_independent():
     keys = [(1, "tof", 3), (1, "tof", 4), (1, "gust"), (2, "tof", 3), (1, "random-walk")]
     draws = np.array([rng.stream(*key).standard_normal(4000) for key in keys])
@@ -21,9 +15,8 @@ def test_the_seed_report_counts_as_42_in_streams():
         np.testing.assert_array_equal(report.standard_normal(5), number.standard_normal(5))
 
 
-def test_the_streams_are_the_same_on_every_machine():
+def test_the_streams_are_the_same_on_every_machine_whatever_was_drawn_before():
     # Committed results depend on these numbers.
-    np.testing.assert_allclose(rng.stream(1, "random-walk").standard_normal(2), EXPECTED, rtol=1e-12)
-
-
-EXPECTED = [1.0321111311247206, 0.2280989974084107]
+    rng.stream(1, "gust").standard_normal(100)
+    expected = [1.0321111311247206, 0.2280989974084107]
+    np.testing.assert_allclose(rng.stream(1, "random-walk").standard_normal(2), expected, rtol=1e-12)

@@ -14,9 +14,9 @@ from steelnb.core.range_scans import RangeScans
 from steelnb.core.types import Flight, Imu, Lines, Scan, Segments, Trajectory
 from steelnb.fusion import SegmentMap
 from steelnb.fusion.structure import Structure
-from steelnb.odometry import CloudOdometry, SegmentOdometry
+from steelnb.odometry import SegmentOdometry
 from steelnb.points import VoxelMap
-from steelnb.simulation import Truth, Visibility, build_tower
+from steelnb.simulation import build_tower
 
 K = 5
 STAMP_S, POSES, CLOUD = np.arange(K) + 1.7e9, np.tile(np.eye(4), (K, 1, 1)), np.ones((7, 3))
@@ -46,7 +46,6 @@ def estimate(**change):
 @pytest.mark.parametrize(
     ("make", "says"),
     [
-        (lambda: Trajectory(STAMP_S[::-1], POSES), r"Trajectory.stamp_s\[1\] = 1700000003.0 after 1700000004.0"),
         (lambda: Trajectory(STAMP_S * 0, POSES), r"Trajectory.stamp_s\[1\] = 0.0 after 0.0"),
         (lambda: Trajectory(changed(STAMP_S, 2, np.nan), POSES), r"Trajectory.stamp_s\[2\] = nan"),
         (lambda: Trajectory(STAMP_S[:, None], POSES), r"Trajectory.stamp_s: .*\(5, 1\); expected \(N,\)"),
@@ -62,18 +61,14 @@ def estimate(**change):
         (lambda: Scan("1.0", CLOUD), "Scan.stamp_s = '1.0'"),
         (lambda: Imu(STAMP_S, np.ones((K, 3)), np.ones((K, 2))), r"Imu.angular_rate: .*expected \(5, 3\)"),
         (lambda: Imu(STAMP_S, changed(np.ones((K, 3)), 2, np.nan), np.ones((K, 3))), r"specific_force\[2, 0\] = nan"),
-        (lambda: Flight(SCANS, PATH, None), "Flight.T_drone_sensor: NoneType"),
         (lambda: Flight(SCANS, PATH, np.eye(3)), "Flight.T_drone_sensor: .*expected a rigid transform"),
         (lambda: Flight(SCANS[:4], PATH, np.eye(4)), "Flight.scans: 4; expected 5"),
-        (lambda: Flight([*SCANS, SCANS[0]], PATH, np.eye(4)), "Flight.scans: 6; expected 5"),
         (lambda: Flight([Scan(s + 2e-6, CLOUD) for s in STAMP_S], PATH, np.eye(4)), "Flight.scans: number 0"),
         (lambda: Flight(iter(SCANS), PATH, np.eye(4)), "Flight.scans: list_iterator; expected a sequence"),
         (lambda: Flight([CLOUD] * K, PATH, np.eye(4)), r"Flight.scans\[0\] = ndarray: expected Scan"),
         (lambda: Flight(RangeScans(STAMP_S + 100, np.ones((K, 1, 1)), np.ones((1, 1, 3))), PATH, np.eye(4)), "100 s"),
         (lambda: Flight(SCANS, POSES, np.eye(4)), "Flight.prior = ndarray: expected Trajectory"),
         (lambda: OdometryStep(0.0, np.eye(4)[:3]), r"OdometryStep.T_world_drone: .*\(3, 4\)"),
-        (lambda: OdometryStep(0.0, np.full((4, 4), np.nan)), "OdometryStep.T_world_drone: an entry is not finite"),
-        (lambda: OdometryStep(0.0, np.eye(4), used=None), "OdometryStep.used = None: expected bool"),
         (lambda: OdometryStep(0.0, np.eye(4), seconds=[1]), "OdometryStep.seconds = .*: expected dict"),
         (lambda: OdometryStep(0.0, np.eye(4), seconds={"map": None}), "OdometryStep.seconds\\['map'\\] = None"),
         (lambda: OdometryStep(0.0, np.eye(4), reason=7), "OdometryStep.reason = 7: expected str"),
@@ -90,7 +85,6 @@ def estimate(**change):
         (lambda: Segments(CLOUD, CLOUD, np.ones(7), None), "Segments.radius: None"),
         (lambda: replace(FLIGHT, range_sigmas=(0.001,)), "Flight.range_sigmas: .*shape .1,.; expected .2,."),
         (lambda: replace(FLIGHT, range_sigmas=(0.001, np.nan)), "Flight.range_sigmas.1. = nan"),
-        (lambda: replace(FLIGHT, range_sigmas="ab"), "Flight.range_sigmas"),
         (lambda: replace(FLIGHT, facts=None), "Flight.facts = None: expected Mapping"),
         (lambda: replace(FLIGHT, name=5), "Flight.name = 5: expected str"),
         (lambda: OdometryStep(0.0, np.eye(4), used=1), "OdometryStep.used = 1: expected bool$"),
@@ -142,22 +136,10 @@ def test_poses_are_interpolated_at_stamps_of_any_kind_and_shape():
 
 
 def test_an_estimate_of_no_scans_has_no_share_on_time():
-    none = Trajectory(STAMP_S[:0], POSES[:0])
-    parts = {
-        "prior": none,
-        "corrected": none,
-        "matches": np.ones(0),
-        "reason": (),
-        "seconds": {},
-        "update_s": np.ones(0),
-    }
-    assert np.isnan(estimate(**parts).on_time_share)
+    none, zero = Trajectory(STAMP_S[:0], POSES[:0]), np.ones(0)
+    of_none = estimate(prior=none, corrected=none, matches=zero, reason=(), seconds={}, update_s=zero)
+    assert np.isnan(of_none.on_time_share)
     assert estimate().on_time_share == 1.0
-
-
-def truth():
-    tower = build_tower()
-    return Truth(PATH, tower, Visibility((np.full(9, 50),) * len(tower.members)))
 
 
 class Unread(Sequence):
@@ -173,8 +155,8 @@ class Unread(Sequence):
 @pytest.mark.parametrize(
     "value",
     [PATH, SCANS[0], Flight(Unread(), PATH, np.eye(4)), estimate(), Segments.empty(), Structure.empty("no bar"),
-     OdometryStep(0.0, np.eye(4)), Imu(STAMP_S, np.ones((K, 3)), np.ones((K, 3))),
-     *(make() for make in (build_tower, truth, SegmentMap, SegmentOdometry, CloudOdometry, lambda: VoxelMap(0.1)))],
+     OdometryStep(0.0, np.eye(4)), Imu(STAMP_S, np.ones((K, 3)), np.ones((K, 3))), build_tower(), SegmentMap(),
+     SegmentOdometry(), VoxelMap(0.1)],
 )  # fmt: skip
 def test_each_says_in_a_line_what_it_holds_and_scans_of_a_file_are_not_read(value):
     assert repr(value).startswith(type(value).__name__)
@@ -192,8 +174,6 @@ def test_stamps_match_to_a_microsecond_at_any_epoch(epoch_s):
 
 
 def test_bars_from_tables_and_with_unknown_radii_are_taken():
-    import pandas as pd
-
     table = pd.DataFrame({"count": [3, 4], "radius": [0.01, np.nan]})
     ends = np.arange(6.0).reshape(2, 3)
     bars = Segments(ends, ends + 1.0, table["count"], table["radius"]).checked()

@@ -44,10 +44,10 @@ def moved(flight: Flight, T: np.ndarray) -> Flight:
 
 def test_it_is_nearer_to_the_truth_than_the_odometry_that_it_starts_from(world):
     flight, truth, _, found = world
-    before = odometry.run(flight, CloudOdometry(OdometrySettings.preset("best"), flight.T_drone_sensor))
-    late = flight.prior.stamp_s > 2 * REFIT_S
+    before = odometry.run(flight.first(100), CloudOdometry(OdometrySettings.preset("best"), flight.T_drone_sensor))
+    late = flight.prior.stamp_s[:100] > 2 * REFIT_S
     ours, clouds, drift = (
-        np.sqrt((position_error_m(path, truth.trajectory)[late] ** 2).mean())
+        np.sqrt((position_error_m(path, truth.trajectory)[:100][late] ** 2).mean())
         for path in (found.corrected, before.corrected, flight.prior)
     )
     assert ours < 0.7 * clouds < 0.1 * drift
@@ -154,7 +154,7 @@ def _points_and_start(estimator, scan, prior):
 
 def test_scans_from_afar_are_registered_too():
     """With few points on each bar, the position is known to 5 to 10 mm, which is better than by clouds."""
-    settings = ExperimentSettings.preset("loops", "random-walk", "faces", seed=11, duration_s=30.0)
+    settings = ExperimentSettings.preset("loops", "random-walk", "faces", seed=11, duration_s=24.0)
     settings = settings.override({"flight.standoff_m": 3.4})
     flight, truth = experiment.simulate(settings)
     estimator = make_odometry(settings.odometry, flight.T_drone_sensor)

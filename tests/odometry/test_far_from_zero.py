@@ -13,7 +13,7 @@ FAR = around(small_tower(), 12).moved(UTM_M)
 FLIGHT = FAR.moved(-UTM_M)  # rounded alike
 
 
-@pytest.mark.parametrize("method", ["best", "average", "smoothed"])
+@pytest.mark.parametrize("method", ["best", "average"])
 def test_a_corrected_flight(method):
     settings, seen = OdometrySettings.preset(method), []
     far = correct(FAR, settings.lowered(-UTM_M[2]), lambda k, scan, step: seen.append(step.T_world_drone), before=FAR)
@@ -23,8 +23,7 @@ def test_a_corrected_flight(method):
     np.testing.assert_allclose(far.corrected.position, near.corrected.position + UTM_M, atol=1e-6)
     np.testing.assert_allclose(far.points, near.points + UTM_M, atol=1e-6)
     np.testing.assert_allclose(far.segments.start, near.segments.start + UTM_M, atol=1e-6)
-    if method != "smoothed":
-        np.testing.assert_allclose(np.array(seen)[:, :3, 3], far.corrected.position)
+    np.testing.assert_allclose(np.array(seen)[:, :3, 3], far.corrected.position)
 
 
 def test_a_smoothed_estimate_and_a_structure():

@@ -14,38 +14,32 @@ SHEARED, SCALED, REFLECTED, ROW = np.eye(4), np.eye(4), np.eye(4), np.eye(4)
 SHEARED[0, 1], SCALED[:3, :3], REFLECTED[0, 0], ROW[3, 0] = 0.1, 1.01 * np.eye(3), -1.0, 0.5
 
 
-@pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize(
-    ("scan", "says"),
+    ("given", "says"),
     [
-        (CLOUD.T, r"\(3, 400\)"), (CLOUD.ravel(), r"\(1200,\)"), (CLOUD.reshape(1, 20, 20, 3), r"\(1, 20, 20, 3\)"),
-        (CLOUD.astype(str), "real numbers"), (CLOUD + 1j, "real numbers"), ([[1, 2, 3], [4, 5]], "real numbers"),
+        ({"scan": CLOUD.T}, r"\(3, 400\)"), ({"scan": CLOUD.ravel()}, r"\(1200,\)"),
+        ({"scan": CLOUD.reshape(1, 20, 20, 3)}, r"\(1, 20, 20, 3\)"), ({"scan": CLOUD.astype(str)}, "real numbers"),
+        ({"scan": CLOUD + 1j}, "real numbers"), ({"scan": [[1, 2, 3], [4, 5]]}, "real numbers"),
+        ({"prior": np.eye(3)}, r"\(3, 3\)"), ({"prior": np.full((4, 4), np.nan)}, "not finite"),
+        ({"prior": SHEARED}, "orthonormal"), ({"prior": SCALED}, "1.01"), ({"prior": REFLECTED}, "reflection"),
+        ({"prior": ROW}, "last row"), ({"prior": "pose"}, r"expected a finite \(4, 4\)"),
     ],
 )  # fmt: skip
-def test_arrays_of_another_shape_are_refused(method, scan, says):
-    with pytest.raises(InputError, match=says):
-        make_odometry(OdometrySettings.preset(method), np.eye(4)).update(scan, np.eye(4))
-
-
-@pytest.mark.parametrize("method", ["average", "best", "faces"])
-@pytest.mark.parametrize(
-    ("prior", "says"),
-    [
-        (np.eye(3), r"\(3, 3\)"), (np.full((4, 4), np.nan), "not finite"), (SHEARED, "orthonormal"), (SCALED, "1.01"),
-        (REFLECTED, "reflection"), (ROW, "last row"), ("pose", r"expected a finite \(4, 4\)"),
-    ],
-)  # fmt: skip
-def test_a_prior_that_is_not_rigid_is_refused(method, prior, says):
-    with pytest.raises(InputError, match=f"T_world_drone_prior.*{says}"):
-        make_odometry(OdometrySettings.preset(method), np.eye(4)).update(CLOUD, prior)
+def test_scans_of_another_shape_and_priors_that_are_not_rigid_are_refused(given, says):
+    name = "scan" if "scan" in given else "T_world_drone_prior"
+    odometry = make_odometry(OdometrySettings.preset("best"), np.eye(4))
+    with pytest.raises(InputError, match=f"^{name}.*{says}"):
+        odometry.update(given.get("scan", CLOUD), given.get("prior", np.eye(4)))
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_settings_of_another_family_are_refused(method):
+def test_each_method_refuses_settings_of_another_family_and_a_bad_scan(method):
     settings = OdometrySettings.preset(method)
-    other = "average" if settings.family == "clouds" else "best"
+    odometry, other = make_odometry(settings, np.eye(4)), "average" if settings.family == "clouds" else "best"
     with pytest.raises(InputError, match=f"method '{other}' is of the family '.*'; expected one such as"):
-        type(make_odometry(settings, np.eye(4)))(OdometrySettings.preset(other))
+        type(odometry)(OdometrySettings.preset(other))
+    with pytest.raises(InputError, match=r"^scan: .*\(3, 400\)"):
+        odometry.update(CLOUD.T, np.eye(4))
 
 
 @pytest.mark.parametrize("method", ["average", "best", "faces"])

@@ -4,30 +4,15 @@ import numpy as np
 import pytest
 
 from steelnb import experiment
-from steelnb.core.types import Trajectory
-from steelnb.metrics import position_error_m
-from steelnb.odometry import LoamOdometry, make_odometry
+from steelnb.odometry import LoamOdometry, make_odometry, run
 from steelnb.registration import FREE
 from steelnb.settings import ExperimentSettings, OdometrySettings
 
 
 @pytest.fixture(scope="module")
 def world():
-    settings = ExperimentSettings.preset("loops", sensor="starling2", seed=13, duration_s=12.0, method="loam")
+    settings = ExperimentSettings.preset("loops", sensor="starling2", seed=13, duration_s=2.8, method="loam")
     return experiment.simulate(settings)
-
-
-def flown(flight):
-    odometry = make_odometry(OdometrySettings.preset("loam"), flight.T_drone_sensor)
-    steps = [odometry.update(s, T) for s, T in zip(flight.scans, flight.prior.T_world_drone, strict=True)]
-    return odometry, steps, Trajectory(flight.prior.stamp_s, np.array([step.T_world_drone for step in steps]))
-
-
-def test_the_error_around_the_tower_is_less_than_the_drift(world):
-    flight, truth = world
-    error, raw = (position_error_m(T, truth.trajectory).max() for T in (flown(flight)[2], flight.prior))
-    assert raw > 0.1
-    assert error < raw
 
 
 def test_the_first_scan_is_mapped_as_it_is_and_scans_without_features_follow_the_prior(world):
@@ -78,6 +63,6 @@ def test_clouds_of_a_spinning_lidar_are_sorted_into_their_lines():
 
 
 def test_poses_are_deterministic_and_do_not_depend_on_later_scans(world):
-    flight, _ = world
-    short, longer = (flown(flight.first(n))[2].T_world_drone for n in (10, 14))
-    np.testing.assert_array_equal(short, longer[:10])
+    settings, flight = OdometrySettings.preset("loam"), world[0]
+    short, longer = (run(part, make_odometry(settings, flight.T_drone_sensor)) for part in (flight.first(10), flight))
+    np.testing.assert_array_equal(short.corrected.T_world_drone, longer.corrected.T_world_drone[:10])

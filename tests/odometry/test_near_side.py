@@ -16,7 +16,7 @@ def strip(width_m, angle_deg, distance_m=3.0, columns=240, rows=240):
     return points
 
 
-@pytest.mark.parametrize("angle_deg", [0, 30, 45, 70, 90])
+@pytest.mark.parametrize("angle_deg", [0, 30, 45, 90])
 @pytest.mark.parametrize("width_m", [0.1, 0.2])
 def test_the_width_of_a_strip_is_seen_whatever_its_direction(width_m, angle_deg):
     total, pixels = apparent_width(strip_widths(strip(width_m, angle_deg)))
@@ -56,7 +56,7 @@ def test_the_share_is_that_of_an_angle_section_with_thickness():
     centroid = (np.array([0.5, t / 2]) * t + np.array([t / 2, (1 + t) / 2]) * t * (1 - t)) / (2 * t - t * t)
     outline = corners - centroid
     depth, seen_width = [], []
-    for angle in rng.uniform(0, 2 * np.pi, 20_000):
+    for angle in rng.uniform(0, 2 * np.pi, 5_000):
         to_viewer = np.array([np.cos(angle), np.sin(angle)])
         lateral, nearer = outline @ [-to_viewer[1], to_viewer[0]], outline @ to_viewer
         ray = rng.uniform(-1.2, 1.2)

@@ -1,13 +1,12 @@
 import numpy as np
 import pytest
 
-from steelnb.core.types import Flight, Scan
-from steelnb.experiment import estimate, redrift
+from steelnb.core.types import Scan
+from steelnb.experiment import estimate, simulate
 from steelnb.fusion.point_to_bar import world_points
 from steelnb.odometry.clouds import CloudOdometry
 from steelnb.odometry.wide_surfaces import ASIDE_M, parted, pixels_on_surfaces, within_plane
 from steelnb.settings import ExperimentSettings, OdometrySettings
-from steelnb.simulation import Truth, build_tower, fly, scan_flight
 from tests.odometry.test_near_side import strip
 
 
@@ -69,16 +68,11 @@ def test_a_subclass_may_choose_among_the_points():
     assert np.isfinite(step.T_world_drone).all()
 
 
-@pytest.mark.parametrize("seed", [11, 13])
-def test_ground_in_view_costs_little_accuracy(seed):
-    settings = ExperimentSettings.preset("zigzag", "random-walk", "best", "starling2", seed, 5.0, tower="slender")
-    tower = build_tower(settings.tower)
-    trajectory, _ = fly(tower, settings.flight, seed)
-    scans, visibility = scan_flight(tower, trajectory, settings.tof, seed)
-    truth, at = Truth(trajectory, tower, visibility), trajectory.at(scans.stamp_s)
-    error = []
-    for floor_m in (settings.odometry.preprocess.floor_m, -10.0):
-        changed = settings.override({"preprocess.floor_m": floor_m})
-        flight = redrift(changed, Flight(scans, at, settings.tof.T_drone_sensor), truth)
-        error.append(estimate(changed, flight, truth).metrics["ate_rmse_m"])
-    assert error[1] < 1.25 * error[0]  # 1.5 to 3 times as large when ground was taken for bars
+def test_ground_in_view_costs_little_accuracy():
+    settings = ExperimentSettings.preset("zigzag", "random-walk", "best", "starling2", 11, 5.0, tower="slender")
+    flight, truth = simulate(settings)
+    cut, whole = (
+        estimate(settings.override({"preprocess.floor_m": floor_m}), flight, truth).metrics["ate_rmse_m"]
+        for floor_m in (settings.odometry.preprocess.floor_m, -10.0)
+    )
+    assert whole < 1.25 * cut  # 1.5 to 3 times as large when ground was taken for bars

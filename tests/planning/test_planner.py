@@ -100,7 +100,7 @@ def test_in_front_of_a_face_it_turns_back_at_both_edges_and_climbs():
     assert poses[:, 1, 0].min() > 0.95  # the heading of the start
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=10, deadline=None)
 @given(seed=st.integers(0, 2**32 - 1))
 def test_it_does_not_hit_mapped_obstacles(seed):
     random = np.random.default_rng(seed)
@@ -119,7 +119,7 @@ def test_it_does_not_hit_mapped_obstacles(seed):
         return decision
 
     planner.decide = watched
-    fly(planner, steel, start, 20.0)
+    fly(planner, steel, start, 15.0)
     before, after = np.array(nearest).T
     # An obstacle that appears within the clearance is not approached further.
     assert (after > np.minimum(CLEARANCE_M - 0.05, before - 0.02)).all()

@@ -33,32 +33,22 @@ from steelnb.simulation.tof import scan_steps
     [
         ({"trajectory": "spiral"}, "trajectory = 'spiral'.*'vertical', 'orbit', 'orbit-3.3', 'zigzag', 'loops'"),
         ({"sensor": "lidar"}, "sensor = 'lidar'"),
-        ({"method": "mean"}, "method = 'mean'"),
-        ({"noise": "white"}, "unknown noise 'white'"),
         ({"noise": "random-wlak"}, "did you mean 'random-walk'"),
         ({"noise": "random-walk:-0.002"}, "random_walk_m = -0.002"),
         ({"noise": "random-walk:fast"}, "'fast' is not a number"),
-        ({"noise": "random-walk:nan"}, "random_walk_m"),
         ({"noise": "random-walk+random-walk"}, "twice"),
         ({"noise": 0.002}, "noise_name = 0.002"),
-        ({"seed": -1}, "seed = -1"),
-        ({"seed": 1.5}, "seed = 1.5"),
         ({"seed": "1"}, "seed = '1'.*or 'report'"),
         ({"seed": True}, "seed = True"),
         ({"seed": 2**63}, "seed = 9223372036854775808"),
         ({"duration_s": 9.0, "overrides": {"tof.start_s": 9.0}}, "start_s = 9: expected less than the flight's 9 s"),
-        ({"overrides": {"tof.noise_on": "ray"}}, "noise_on = 'ray'"),
         ({"trajectory": "orbit-3.3", "duration_s": 211.0}, "flight of 211 s: its waypoints end after 208.5 s"),
         ({"duration_s": 0.0}, "duration_s = 0.0"),
         ({"duration_s": "200"}, "duration_s = '200'"),
-        ({"overrides": {"tof.rate_hz": 0}}, "rate_hz = 0"),
         ({"overrides": {"tof.rate": 5}}, "TofSettings: rate = 5: unknown setting, did you mean 'rate_hz'"),
         ({"overrides": {"radar.rate_hz": 5}}, "radar.rate_hz"),
         ({"overrides": {"tower.profile_m": ((0.0, 4.0), (20.0, 1.7), (16.0, 1.0))}}, "profile_m = .*rise from 0"),
-        (
-            {"overrides": {"tower.profile_m": ((0.0, 1.0), (9.0, 0.1), (16.0, 1.0))}},
-            "widths above that of a leg, 0.12 m",
-        ),
+        ({"overrides": {"tower.profile_m": ((0.0, 1.0), (9.0, 0.1), (16.0, 1.0))}}, "above that of a leg, 0.12 m"),
         ({"overrides": {"tower.arms_m": ((10.0, 3.0), (10.3, 3.0))}}, "arms at least 0.7 m apart"),
         ({"overrides": {"tower.arms_m": ((15.8, 3.0),)}}, "between the waist and the top"),
         ({"overrides": {"tof.columns": True}}, "columns = True"),
@@ -71,7 +61,6 @@ from steelnb.simulation.tof import scan_steps
         ({"overrides": {"imu.gyro_noise": 1e-3}}, r"imu.gyro_noise = 0.001: imu is None; expected all of it"),
         ({"overrides": {"sensor": "report"}}, "sensor = 'report': this is 'starling2'; choose it by its preset"),
         ({"noise": "tilt", "overrides": {"noise_name": "none"}}, "noise = 'tilt', and 'none' in the overrides"),
-        ({"trajectory": "loops", "overrides": {"flight.trajectory": "zigzag"}}, "trajectory = 'loops', and 'zigzag'"),
         ({"duration_s": 9.0, "overrides": {"flight.duration_s": 8.0}}, "duration_s = 9.0, and 8.0"),
         ({"seed": 3, "overrides": {"seed": 7}}, "seed = 3, and 7 in the overrides: expected one seed"),
         ({"tower": "heavy", "overrides": {"tower": "light"}}, "tower = 'heavy', and 'light' in the overrides"),
@@ -83,6 +72,12 @@ from steelnb.simulation.tof import scan_steps
         ({"overrides": {5: 1}}, "a name in overrides = 5: expected str"),
         ({"sensor": "report", "duration_s": 1.0, "overrides": {"tof.rate_hz": 1.0}}, "two scans, so more than 1 s"),
         ({"duration_s": 5.0, "overrides": {"tof.samples": [0, 625]}}, "leave 1 scans of tof.samples"),
+        ({"duration_s": 5.0, "overrides": {"tof.samples": [0, 626]}}, "ends at step 626, 5.008 s: expected it within"),
+        ({"overrides": {"tof.samples": (5, 5)}}, "scan 1 at step 5, step 5 before it: expected steps that increase"),
+        ({"overrides": {"tof.samples": (-1, 5)}}, "scan 0 at step -1, no step below 0"),
+        ({"overrides": {"tof.samples": (1, 2.5)}}, "samples"),
+        ({"sensor": "report", "overrides": {"tof.columns": 1}}, "pixel_origin = 'corner' with 1 x 64 pixels: expected"),
+        ({"trajectory": "planned", "overrides": {"flight.still_s": 2.0}}, "still_s = 2: a pilot steers a planned fl"),
     ],
 )
 def test_a_bad_setting_is_named_in_one_line(arguments, says):
@@ -129,13 +124,9 @@ def test_settings_can_be_keys_and_their_tables_do_not_change():
             change(settings.tower.sections_m)
 
 
-def test_settings_are_frozen_and_refuse_unknown_keys():
+def test_settings_are_frozen():
     with pytest.raises(InputError, match=r"TofSettings.rate_hz: settings do not change; replace\(rate_hz="):
         TofSettings().rate_hz = 10.0
-    with pytest.raises(InputError, match="rate = 5"):
-        TofSettings(rate=5)
-    with pytest.raises(InputError, match="columns"):
-        TofSettings().replace(columns=0)
 
 
 def test_the_report_preset_holds_the_published_settings():
@@ -152,12 +143,6 @@ def test_the_report_preset_holds_the_published_settings():
     assert method.hough.dx_m == pytest.approx(0.05 / 1.5 * 3**0.5)
     assert method.fusion.distance_max_m == pytest.approx(0.2286, abs=1e-4)
     assert report.noise.random_walk_m == 0.002
-
-
-def test_noise_parses_sums_with_levels():
-    noise = Noise.parse("random-walk:0.004+yaw-random-walk")
-    assert (noise.random_walk_m, noise.yaw_random_walk_rad, noise.constant_drift_m) == (0.004, 0.0005, 0.0)
-    assert Noise.parse("none") == Noise()
 
 
 @pytest.mark.parametrize(
@@ -232,22 +217,11 @@ def test_the_experiment_behind_each_plot_of_the_report_has_its_scans():
         ExperimentSettings.report("3.4", "vertical", "icp")
 
 
-def test_samples_lie_within_the_flight():
-    settings = ExperimentSettings.preset("zigzag", duration_s=5.0, overrides={"tof.samples": [0, 100, 625]})
-    assert settings.tof.samples == (0, 100, 625)
-    with pytest.raises(
-        InputError, match=r"tof\.samples ends at step 626, 5\.008 s: expected it within the flight's 5 s"
-    ):
-        settings.override({"tof.samples": [0, 626]})
-
-
 def test_related_settings_are_changed_together_whatever_their_order():
     plain = ExperimentSettings.preset("zigzag", duration_s=5.0)
     for changes in ({"tof.start_s": 8.0, "flight.duration_s": 9.0}, {"flight.duration_s": 9.0, "tof.start_s": 8.0}):
         changed = plain.override(changes)
         assert (changed.tof.start_s, changed.flight.duration_s) == (8.0, 9.0)
-    with pytest.raises(InputError, match=r"tof\.start_s = 8: expected less than the flight's 5 s"):
-        plain.override({"tof.start_s": 8.0})
 
 
 def test_a_preset_can_be_copied_changed_and_named_by_its_path(tmp_path):
@@ -268,7 +242,7 @@ def test_a_preset_can_be_copied_changed_and_named_by_its_path(tmp_path):
         ExperimentSettings.preset(sensor=str(own), method="average")
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", {OdometrySettings.preset(name).family: name for name in METHODS}.values())
 def test_a_method_of_another_family_has_no_setting_of_this_one(method):
     experiment = ExperimentSettings.preset(method=method)
     settings = experiment.odometry

@@ -38,7 +38,6 @@ def test_algorithm_1_is_a_cumulative_sum_of_normal_vectors():
     steps = np.diff(drifting(still(40), settings, 5).position, axis=0)
     assert steps.std() == pytest.approx(0.002, rel=0.02)
     assert np.abs(steps.mean(axis=0)).max() < 4 * 0.002 / np.sqrt(40 * 125)
-    assert drift_size_rms(np.array([20.0]), settings)[0] == pytest.approx(0.002 * np.sqrt(3 * 125 * 20))
     lag = np.corrcoef(steps[1:, 0], steps[:-1, 0])[0, 1]
     assert abs(lag) < 0.05
 
@@ -58,15 +57,13 @@ def test_yaw_walk_rotates_the_heading_and_not_the_position():
     R = drifted.T_world_drone[:, :3, :3]
     np.testing.assert_allclose(R @ R.transpose(0, 2, 1), np.tile(np.eye(3), (len(R), 1, 1)), atol=1e-12)
     np.testing.assert_allclose(R[:, 2, 2], 1)
-    final = [drifting(truth, Noise(yaw_random_walk_rad=0.0005), s).T_world_drone[-1] for s in range(300)]
-    assert np.std([np.arctan2(T[1, 0], T[0, 0]) for T in final]) == pytest.approx(0.0005 * np.sqrt(1250), rel=0.12)
 
 
 def test_tilt_affects_only_roll_and_pitch_and_has_zero_mean():
     truth = still(100)
     settings = Noise.parse("tilt")
     assert settings.tilt_rad == np.radians(1)
-    turned = [drifting(truth, settings, seed) for seed in range(60)]
+    turned = [drifting(truth, settings, seed) for seed in range(40)]
     np.testing.assert_array_equal(turned[0].position, truth.position)
     np.testing.assert_array_equal(turned[0].T_world_drone[0], truth.T_world_drone[0])
     vectors = Rotation.from_matrix(np.concatenate([each.T_world_drone[5000:, :3, :3] for each in turned])).as_rotvec()

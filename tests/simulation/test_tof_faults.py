@@ -1,7 +1,6 @@
 """Faults of a real Time-of-Flight camera, on walls about a sensor at (0, 0, 5) that looks along x."""
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -33,19 +32,15 @@ HERE[2, 3] = 5.0
 TOWER = build_tower()
 
 
+def tower_of(*corners):
+    """A tower of rectangles, each given by a corner and the two adjacent ones."""
+    vertices = np.array([(a, b, b + c - a, c) for a, b, c in np.array(corners, dtype=float)]).reshape(-1, 3)
+    triangles = np.array([(n, n + k, n + k + 1) for n in range(0, len(vertices), 4) for k in (1, 2)])
+    return replace(TOWER, vertices=vertices, triangles=triangles, triangle_member=np.repeat(np.arange(len(corners)), 2))
+
+
 def walls(*corners):
-    """A scene of rectangles, each given by a corner and the two adjacent ones."""
-    vertices, triangles = [], []
-    for a, b, c in np.array(corners, dtype=float):
-        n = len(vertices)
-        vertices += [a, b, b + c - a, c]
-        triangles += [(n, n + 1, n + 2), (n, n + 2, n + 3)]
-    member = np.repeat(np.arange(len(corners)), 2)
-    return make_scene(
-        SimpleNamespace(
-            vertices=np.array(vertices), triangles=np.array(triangles), triangle_member=member, settings=TOWER.settings
-        )
-    )
+    return make_scene(tower_of(*corners))
 
 
 def wall(x, y_from=-6.0, y_to=6.0, lean=0.0):
@@ -73,17 +68,6 @@ def test_an_exposure_without_faults_equals_the_ideal_camera():
     assert same.mean() > 0.999  # rays that graze an edge may fall to either side
     np.testing.assert_allclose(found.range_m[same], exact[0][same], rtol=1e-5)
     np.testing.assert_array_equal(found.exact_m, found.range_m)
-
-
-def test_scans_without_faults_are_exact_ranges_with_noise():
-    """Range images are, to the bit, exact ranges with the noise of the stream ("tof", k)."""
-    trajectory = Trajectory(*(each[:251] for each in (np.arange(300) * 0.008, np.tile(HERE, (300, 1, 1)))))
-    trajectory.T_world_drone[:, 0, 3] -= 3.5
-    tof = TofSettings.preset("starling2").replace(columns=45, rows=60)
-    scans, _ = scan_flight(TOWER, trajectory, tof, 6)
-    exact, _ = cast_rays(make_scene(TOWER), trajectory.at(scans.stamp_s).T_world_drone @ tof.T_drone_sensor, rays(tof))
-    for k in range(len(scans)):
-        np.testing.assert_array_equal(scans.range_m[k], measured_ranges(exact[k], tof, rng.stream(6, "tof", k)))
 
 
 @pytest.mark.kernels
@@ -127,10 +111,8 @@ def test_mixed_pixels_lie_between_two_depths_and_only_at_their_edge():
 
 
 def test_multipath_makes_corners_too_deep_and_does_not_change_a_plane():
-    plane, corner = (
-        walls(wall(3.0)),
-        walls(((3, -6, 0), (3, 0.3, 0), (3, -6, 10)), ((3, 0.3, 0), (0.5, 0.3, 0), (3, 0.3, 10))),
-    )
+    plane = walls(wall(3.0))
+    corner = walls(((3, -6, 0), (3, 0.3, 0), (3, -6, 10)), ((3, 0.3, 0), (0.5, 0.3, 0), (3, 0.3, 10)))
     once, twice = Faults(), Faults(multipath=1.0)
     np.testing.assert_array_equal(seen(plane, once).range_m, seen(plane, twice).range_m)
     deeper = seen(corner, twice).range_m - seen(corner, once).range_m
@@ -164,13 +146,9 @@ def test_motion_blurs_edges_but_not_a_plane_along_it():
 def test_exposures_are_centred_on_the_stamps():
     """Towards a wall at 2 m/s: the range is that in the middle of the exposure."""
     trajectory = moving(np.array([2.0, 0.0, 0.0]))
-    tower = replace(
-        TOWER,
-        vertices=np.array([(4.0, -6, 0), (4, 6, 0), (4, 6, 10), (4, -6, 10)]),
-        triangles=np.array([(0, 1, 2), (0, 2, 3)]),
-        triangle_member=np.zeros(2, int),
+    blurred, sharp = (
+        scan_flight(tower_of(wall(4.0)), trajectory, SMALL.replace(faults=each), 1)[0] for each in (("exposure",), ())
     )
-    blurred, sharp = (scan_flight(tower, trajectory, SMALL.replace(faults=each), 1)[0] for each in (("exposure",), ()))
     np.testing.assert_allclose(blurred.range_m[1:], sharp.range_m[1:], atol=5e-4)  # half the exposure is 30 mm
 
 

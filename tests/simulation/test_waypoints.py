@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from steelnb.core.errors import CollisionError, InputError
+from steelnb.core.errors import CollisionError
 from steelnb.settings import FlightSettings
 from steelnb.simulation import build_tower, fly
 from steelnb.simulation.paths import minimum_jerk, pose_on_path
@@ -54,11 +54,6 @@ def test_the_drone_stands_still_before_it_flies(name):
     np.testing.assert_allclose(calm.position[-1], moved.position[-1], atol=2e-3)
 
 
-def test_a_planned_flight_has_no_rest():
-    with pytest.raises(InputError, match=r"still_s = 2: a pilot steers a planned flight from the start"):
-        FlightSettings.preset("planned").replace(still_s=2.0)
-
-
 def test_the_orbit_climbs_at_the_corner_behind_the_first_face():
     """As in the published file: level 1 flies the first face twice, and each climb begins at (2.5, 2.5)."""
     np.testing.assert_allclose(at("orbit", 20)[0, :3], [2.5, 2.5, 0.6], atol=1e-9)
@@ -76,10 +71,8 @@ def test_the_orbit_climbs_at_the_corner_behind_the_first_face():
 )
 def test_the_orbits_look_at_the_faces_at_their_heights(name, heights, first_s, level_s):
     for level, height in enumerate(heights):
-        sides = (
-            first_s + (level + np.array([0.05, 0.15, 0.26, 0.4, 0.52, 0.68])) * level_s
-        )  # on three of the four sides
-        x, y, z, heading = at(name, *sides).T
+        on_three_sides = level + np.array([0.05, 0.15, 0.26, 0.4, 0.52, 0.68])
+        x, y, z, heading = at(name, *(first_s + on_three_sides * level_s)).T
         np.testing.assert_allclose(z, height, atol=1e-9)
         ahead, across = np.cos(heading) * x + np.sin(heading) * y, np.sin(heading) * x - np.cos(heading) * y
         np.testing.assert_allclose(ahead, -2.5, atol=1e-9)

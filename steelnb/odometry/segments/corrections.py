@@ -33,11 +33,6 @@ Correction = tuple[Array, int]
 NO_CORRECTION: Correction = np.zeros(4), 0
 
 
-def no_correction(observed: Segments, known: SegmentMap, robust_scale_m: float, position: Array) -> Correction:
-    """No correction, which shows the map distorted by drift (the report's Figure 3.4a)."""
-    return NO_CORRECTION
-
-
 def average(observed: Segments, known: SegmentMap, robust_scale_m: float, position: Array) -> Correction:
     """The report's rule: a share (`GAIN`) of the mean offset between matched segments and bars, once per scan.
 
@@ -136,7 +131,7 @@ def shared_ends(segments: Segments, bars: Segments) -> Array:
 
 
 CORRECTIONS: dict[str, Callable[[Segments, SegmentMap, float, Array], Correction]] = {
-    "none": no_correction,
+    "none": lambda *_: NO_CORRECTION,  # shows the map distorted by drift (the report's Figure 3.4a)
     "average": average,
     "least_squares": least_squares,
     "least_squares_yaw": least_squares_yaw,
