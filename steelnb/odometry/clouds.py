@@ -1,7 +1,7 @@
 """Odometry by clouds: the report's section 3.3, with one loop for all methods."""
 
 from collections.abc import Mapping
-from typing import ClassVar, NamedTuple
+from typing import ClassVar, Literal, NamedTuple
 
 import numpy as np
 
@@ -31,41 +31,55 @@ JUMP_MAX_VOXELS = 10
 class MapStyle(NamedTuple):
     """How the map is built, and how scans are registered to it.
 
-    ``accumulate``: a voxel's mean is that of all its points (`VoxelMap`). GICP's covariances are those of the nearest
-    neighbours, regularised to planes; if ``measured``, those of the points accumulated around each voxel for the
-    target, and of the range noise for the source. Points then move by the near-side bias
-    (`steelnb.odometry.near_side`), and the solver is accelerated. The rest is the solver's (`AlignOptions`);
+    ``accumulate``: a voxel's mean is that of all its points (`VoxelMap`). ``covariances`` of GICP: ``neighbours``,
+    those of the nearest neighbours, regularised to planes; ``measured``, those of the points accumulated around each
+    voxel for the target, and of the range noise for the source. ``near_side``: move points by the near-side bias
+    (`steelnb.odometry.near_side`). ``accelerated`` and what follows are the solver's (`AlignOptions`);
     ``iterations_max`` is by degrees of freedom.
     """
 
     accumulate: bool
-    measured: bool
+    covariances: Literal["neighbours", "measured"]
+    near_side: bool
+    accelerated: bool
     iterations_max: Mapping[str, int]
     rotation_epsilon_rad: float
     translation_epsilon_m: float
 
 
 RE_VOXELISED = MapStyle(
-    accumulate=False, measured=False, iterations_max={"xyz": 200, "xyz_yaw": 150, "se3": 150},
+    accumulate=False, covariances="neighbours", near_side=False, accelerated=False,
+    iterations_max={"xyz": 200, "xyz_yaw": 150, "se3": 150},
     rotation_epsilon_rad=1e-4, translation_epsilon_m=2e-4,
 )  # fmt: skip
 """The map of the report's programs, with their maximum numbers of iterations."""
 WEIGHTED = RE_VOXELISED._replace(accumulate=True)
 MEASURED = MapStyle(
-    accumulate=True, measured=True, iterations_max={"xyz": 20, "xyz_yaw": 20, "se3": 20},
-    rotation_epsilon_rad=5e-4, translation_epsilon_m=7e-4,
+    accumulate=True, covariances="measured", near_side=True, accelerated=True,
+    iterations_max={"xyz": 20, "xyz_yaw": 20, "se3": 20}, rotation_epsilon_rad=5e-4, translation_epsilon_m=7e-4,
 )  # fmt: skip
 """A model of bars and of the sensor's noise. Extrapolated steps need fewer iterations."""
 MAPS = {"re-voxelised": RE_VOXELISED, "weighted": WEIGHTED, "measured": MEASURED}
 """The setting ``map`` → its style."""
 
 
-POINTS_MIN, POINTS_MIN_ANCHORED = 10, 100
-"""Minimum number of points of a scan to correct its prediction; and if the prediction has a stated uncertainty: 8 × 8
-pixels are too few, as they sample a surface more coarsely than the map's voxels. GICP then also corrects only along
-directions with a strength of the normals of at least `NORMALS_MIN`, relative to the strongest one
-(`unobserved_shifts`). In front of the report's tower it is at least 0.18, or 0.06 with the report's sensor. On a tower
-6 m wide it sometimes falls to 0.03."""
+class Evidence(NamedTuple):
+    """What a scan must show to correct its prediction: a minimum number of points, and a minimum strength of the
+    normals along a direction, relative to the strongest one (`unobserved_shifts`), for a correction along it by
+    GICP."""
+
+    points_min: int
+    normals_min: float
+
+
+UNANCHORED = Evidence(points_min=10, normals_min=0.0)
+"""For a prediction without a stated uncertainty."""
+ANCHORED = Evidence(points_min=100, normals_min=NORMALS_MIN)
+"""For a prediction with one. 8 × 8 pixels are too few: they sample a surface more coarsely than the map's voxels. The
+normals' strength is in front of the report's tower at least 0.18, or 0.06 with the
+report's sensor. On a tower 6 m wide it sometimes falls to 0.03."""
+
+
 CLOUD_ERROR = LastingError(sigma_rad=0.004, sigma_m=0.03, time_s=10.0)
 """Lasting error of registrations to a map of clouds. Chosen on 60 s of the development seeds 11 to 14 with the honest
 sensor, so that the filter's errors are as large as it claims; 2 to 4 cm and 5 to 10 s leave similar errors."""
@@ -74,8 +88,8 @@ sensor, so that the filter's errors are as large as it claims; 2 to 4 cm and 5 t
 class CloudOdometry(BaseOdometry):
     """Registers each scan to the map of the scans before it.
 
-    The setting ``map`` selects a `MapStyle`. Settings are of the family of clouds or faces. ``imu``: readings in the
-    drone frame, used up to the current scan if the settings have ``inertial``.
+    The setting ``map`` selects a `MapStyle`, and the prediction an `Evidence`. Settings are of the family of clouds or
+    faces. ``imu``: readings in the drone frame, used up to the current scan if the settings have ``inertial``.
     """
 
     kind: ClassVar[type[OdometrySettings]] = RegistrationSettings
@@ -93,11 +107,11 @@ class CloudOdometry(BaseOdometry):
         self.style = style = MAPS[s.map]
         self.map = VoxelMap(s.map_voxel_m, style.accumulate)
         self.prediction = make_prediction(s.prior_sigma, s.tilt_sigma_rad, s.inertial, imu)
-        self.points_min = POINTS_MIN_ANCHORED if self.prediction.known else POINTS_MIN
+        self.evidence = ANCHORED if self.prediction.known else UNANCHORED
         self.options = AlignOptions(
             s.error, FREE["se3" if self.prediction.tilted else s.dof], s.max_correspondence_m, s.robust_scale or np.inf,
-            style.iterations_max[s.dof], style.rotation_epsilon_rad, style.translation_epsilon_m, style.measured,
-            NORMALS_MIN if self.prediction.known and s.error == "gicp" else 0.0,
+            style.iterations_max[s.dof], style.rotation_epsilon_rad, style.translation_epsilon_m, style.accelerated,
+            self.evidence.normals_min if s.error == "gicp" else 0.0,
         )  # fmt: skip
         self.sigma_filter_px = s.sigma_filter_px
         self.near_side = NearSide()
@@ -110,7 +124,7 @@ class CloudOdometry(BaseOdometry):
     def corrected(self, scan: Scan, prior: Array, watch: Stopwatch) -> Outcome:
         """What `update` does with a checked scan; also for an odometry that falls back on this one."""
         T_init = self.prediction.pose(prior, scan.stamp_s, CLOUD_ERROR)
-        if self.style.measured:
+        if self.style.near_side:
             self.near_side.update(scan.points)
         points = self.preprocessed(scan, T_init)
         watch.lap("preprocess")
@@ -134,7 +148,7 @@ class CloudOdometry(BaseOdometry):
         """Points ``(N, 3)`` of a scan, drone frame, as they enter the map: denoised, filtered, and moved by the current
         near-side shift. ``T_world_drone (4, 4)`` is an estimate, to cut off the floor."""
         s, mount, on_surface = self.settings.preprocess, self.T_drone_sensor, np.zeros(0, dtype=bool)
-        if self.style.measured:
+        if self.style.near_side:
             flat = np.ascontiguousarray(scan.points).reshape(-1, 3)
             used = world_points(flat, T_world_drone @ mount, s.crop_m, s.floor_m)[2]
             on_surface = pixels_on_surfaces(scan.points, used)
@@ -143,7 +157,7 @@ class CloudOdometry(BaseOdometry):
         self._surfaces = np.zeros((2, 0, 3))
         if not on_surface.any():
             points = preprocess_scan(scan, T_world_drone, mount, s)
-            return self.near_side.shifted(points, mount[:3, 3]) if self.style.measured else points
+            return self.near_side.shifted(points, mount[:3, 3]) if self.style.near_side else points
         without = [np.where(mask[..., None], np.nan, scan.points) for mask in (on_surface, ~on_surface)]
         parts = [preprocess_scan(Scan(scan.stamp_s, points), T_world_drone, mount, s) for points in without]
         bars, *surfaces = parted(*parts)
@@ -157,7 +171,7 @@ class CloudOdometry(BaseOdometry):
             return None, None
         if self.options.error != "gicp":
             return VoxelTarget(self.map), None
-        if self.style.measured:
+        if self.style.covariances == "measured":
             return VoxelTarget(self.map, (0.5 * SIGMA_M) ** 2), self._ray_covariances(points)
         tree = build_kdtree(self.map.means(chosen))
         return Target.with_planes(tree), regularised(neighbour_covariances(points))
@@ -191,7 +205,7 @@ class CloudOdometry(BaseOdometry):
         self, points: Array, covariance: Array | None, target: AnyTarget | None, T_init: Array
     ) -> tuple[RegistrationResult | None, str]:
         """The registration of a scan, and the reason if it is not used."""
-        if len(points) < self.points_min:
+        if len(points) < self.evidence.points_min:
             return None, "too few points"
         if not self.mapped:
             return None, "first scan"

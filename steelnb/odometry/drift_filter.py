@@ -7,7 +7,7 @@ from steelnb.core.geometry import rotation_between
 from steelnb.core.types import Array, Imu
 from steelnb.fusion.adjustment.drift_factors import DRIFT_PERIOD_S, tilt_decay
 from steelnb.odometry.imu_filter import InertialPrediction
-from steelnb.odometry.prediction import NO_ERROR, LastingError, RegisteredPose
+from steelnb.odometry.prediction import NO_ERROR, LastingError, Prediction, RegisteredPose
 from steelnb.registration import Term, prior_term
 from steelnb.settings import ImuSettings
 
@@ -97,12 +97,8 @@ class DriftPrediction:
 
 def make_prediction(
     prior_sigma: tuple[float, float] | None, tilt_sigma_rad: float, noise: ImuSettings | None, imu: Imu | None
-) -> DriftPrediction | InertialPrediction:
-    """Prediction from the readings of an ``imu`` if its ``noise`` is known, else from the drifting prior.
-
-    `pose` may be called repeatedly; `correct` or `lose` ends the scan. ``known``: whether the prediction has a stated
-    uncertainty; ``tilted``: whether roll and pitch of the prior have errors, which a registration then corrects, too.
-    """
+) -> Prediction:
+    """Prediction from the readings of an ``imu`` if its ``noise`` is known, else from the drifting prior."""
     if noise is not None and imu is not None:
         return InertialPrediction(imu, noise)
     return DriftPrediction(prior_sigma, tilt_sigma_rad)

@@ -1,9 +1,9 @@
 """Settings → odometry, and flight → estimate."""
 
-import inspect
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -28,12 +28,28 @@ from steelnb.odometry.run import OnStep, run
 from steelnb.odometry.segments.odometry import SegmentOdometry
 from steelnb.settings import OdometrySettings, StructureSettings
 
-ODOMETRIES: dict[str, Callable[..., BaseOdometry]] = {
-    "segments": SegmentOdometry, "clouds": CloudOdometry, "faces": FaceOdometry, "loam": LoamOdometry,
-    "orb": OrbOdometry, "deepvo": DeepVoOdometry, "library": PeerOdometry, "report_clouds": ReportCloudOdometry,
-    "report_segments": ReportSegmentOdometry,
-}  # fmt: skip
-"""Family of settings → its odometry."""
+
+class Parts(NamedTuple):
+    """The parts of a flight that an odometry may be made of: mount of the sensor ``(4, 4)``, readings of an IMU and
+    images of a camera, None if there are none."""
+
+    T_drone_sensor: Array
+    imu: Imu | None = None
+    images: CameraImages | None = None
+
+
+ODOMETRIES: dict[str, Callable[[Any, Parts], BaseOdometry]] = {
+    "segments": lambda settings, parts: SegmentOdometry(settings, parts.T_drone_sensor),
+    "clouds": lambda settings, parts: CloudOdometry(settings, parts.T_drone_sensor, parts.imu),
+    "faces": lambda settings, parts: FaceOdometry(settings, parts.T_drone_sensor, parts.imu),
+    "loam": lambda settings, parts: LoamOdometry(settings, parts.T_drone_sensor),
+    "orb": lambda settings, parts: OrbOdometry(settings, parts.T_drone_sensor, parts.imu, parts.images),
+    "deepvo": lambda settings, parts: DeepVoOdometry(settings, parts.T_drone_sensor),
+    "library": lambda settings, parts: PeerOdometry(settings, parts.T_drone_sensor),
+    "report_clouds": lambda settings, parts: ReportCloudOdometry(settings, parts.T_drone_sensor),
+    "report_segments": lambda settings, parts: ReportSegmentOdometry(settings, parts.T_drone_sensor),
+}
+"""Family of settings → its odometry from the settings and the parts of a flight."""
 
 
 @checks_arguments
@@ -42,9 +58,7 @@ def make_odometry(
 ) -> BaseOdometry:
     """A new odometry of the settings' family; ``T_drone_sensor (4, 4)`` is the mount of the sensor. Families that have
     no use for ``imu`` or ``images`` ignore them. Raises `InputError`."""
-    kind = ODOMETRIES[settings.family]
-    parts, takes = {"imu": imu, "images": images}, inspect.signature(kind).parameters
-    return kind(settings, T_drone_sensor, **{name: part for name, part in parts.items() if name in takes})
+    return ODOMETRIES[settings.family](settings, Parts(T_drone_sensor, imu, images))
 
 
 @checks_arguments

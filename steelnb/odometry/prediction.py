@@ -1,10 +1,14 @@
-"""What the predictions of `drift_filter` and `imu_filter` learn from a scan: its pose, and errors that scans share."""
+"""The interface of the predictions that odometries start their registrations from."""
 
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
 from steelnb.core.types import Array
+from steelnb.registration import Term
+
+NONE = np.zeros((0, 3))
+"""No directions."""
 
 
 class RegisteredPose(NamedTuple):
@@ -16,7 +20,7 @@ class RegisteredPose(NamedTuple):
     """
 
     T_world_drone: Array
-    unobserved: Array = np.zeros((0, 3))
+    unobserved: Array = NONE
     H: Array = np.zeros((6, 6))
     arm: Array = np.zeros(3)
 
@@ -40,3 +44,35 @@ class LastingError(NamedTuple):
 
 
 NO_ERROR = LastingError(0.0, 0.0, 1.0)
+
+
+class Prediction(Protocol):
+    """Predicts the pose of each scan. `pose` may be called repeatedly; `correct` or `lose` ends the scan."""
+
+    @property
+    def known(self) -> bool:
+        """Whether the prediction has a stated uncertainty."""
+
+    @property
+    def tilted(self) -> bool:
+        """Whether roll and pitch of the prior have errors, which a registration then corrects, too."""
+
+    def pose(self, prior: Array, stamp_s: float, lasting: LastingError = NO_ERROR) -> Array:
+        """The predicted pose ``(4, 4)`` of the drone at a scan with the drifting pose ``prior (4, 4)``, as a
+        registration with a ``lasting`` error would find it."""
+
+    def terms(self, T_predicted: Array, points: Array) -> list[Term]:
+        """The cost of deviating from the predicted pose, of a registration of ``points (N, 3)``, drone frame."""
+
+    def correct(self, registered: RegisteredPose) -> None:
+        """Update with the registration of the scan."""
+
+    def levelled(self, T_world_drone: Array) -> Array:
+        """The pose ``(4, 4)`` to put out for a registered pose of the last scan."""
+
+    def lose(self) -> None:
+        """Update with a scan that was not registered."""
+
+    def adjust(self, T_correction: Array, variance: Array) -> None:
+        """Move the map and the registered pose of the last scan by ``T_correction (4, 4)``, world frame, whose errors
+        have a ``variance (6,)`` of rotation and position."""
