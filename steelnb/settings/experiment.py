@@ -208,8 +208,10 @@ def _is_usual(name: str, value: Any) -> bool:
 def overridden(overrides: Mapping[str, Any], name: str, value: Any) -> Any:
     """What the overrides set a dotted ``name`` to, on its own or in a whole table; else ``value``."""
     table, _, setting = name.partition(".")
-    whole = overrides.get(table)
-    inner = whole if setting and isinstance(whole, dict) else {}
+    whole = overrides.get(table) if setting else None
+    if table == "flight" and isinstance(whole, dict):
+        whole = FlightSettings(**whole)  # the rest of a whole table has its default, which replaces the argument
+    inner = dict(whole) if isinstance(whole, dict | Settings) else {}
     return overrides.get(name, inner.get(setting, value))
 
 

@@ -63,6 +63,10 @@ from steelnb.simulation.tof import scan_steps
         ({"noise": "tilt", "overrides": {"noise_name": "none"}}, "noise = 'tilt', and 'none' in the overrides"),
         ({"duration_s": 9.0, "overrides": {"flight.duration_s": 8.0}}, "duration_s = 9.0, and 8.0"),
         ({"seed": 3, "overrides": {"seed": 7}}, "seed = 3, and 7 in the overrides: expected one seed"),
+        (
+            {"trajectory": "loops", "duration_s": 5.0, "overrides": {"flight": {"trajectory": "loops"}}},
+            "duration_s = 5.0, and 200.0 in the overrides: expected one duration_s",
+        ),
         ({"tower": "heavy", "overrides": {"tower": "light"}}, "tower = 'heavy', and 'light' in the overrides"),
         ({"overrides": {"flight.height_min_m": 8.0, "flight.height_max_m": 2.0}}, "height_min_m = 8 above height_max"),
         ({"overrides": {"tof.blind_s": ((5.0, 3.0),)}}, r"blind_s: \(5.0, 3.0\): expected the first and last second"),
