@@ -16,14 +16,6 @@ def test_images_and_invalid_returns_are_accepted():
     assert result.inliers == 1198
 
 
-def test_clouds_without_overlap_do_not_converge():
-    points = corner(500, 5)
-    result = register(points, points + 100.0, "gicp", max_correspondence_m=0.5)
-    assert not result.converged
-    assert (result.reason, result.inliers) == ("too few pairs", 0)
-    np.testing.assert_array_equal(result.T_target_source, np.eye(4))
-
-
 @pytest.mark.parametrize(
     ("change", "message"),
     [
@@ -38,9 +30,8 @@ def test_clouds_without_overlap_do_not_converge():
         ({"method": "icpp"}, "method = 'icpp': expected one of 'icp'"),
         ({"dof": ""}, "dof = ''"),
         ({"robust_scale": 0.0}, "robust_scale = 0.0"),
-        ({"max_correspondence_m": -1.0}, "max_correspondence_m = -1.0: expected a positive"),
-        ({"translation_epsilon_m": np.nan}, "translation_epsilon_m = nan"),
         ({"max_correspondence_m": np.inf}, "max_correspondence_m = inf"),
+        ({"translation_epsilon_m": np.nan}, "translation_epsilon_m = nan"),
         ({"iterations_max": 0}, "iterations_max = 0"),
     ],
 )
