@@ -54,11 +54,9 @@ def test_a_frame_is_found_with_its_joints_wherever_it_stands(seed, size, yaw):
     assert np.bincount(tie[:, 1]).tolist() == [2] * 5
 
 
-def test_bad_input_is_refused():
+def test_a_flight_without_scans_is_refused():
     with pytest.raises(InputError, match="without a return"):
         reconstruct([], np.zeros((0, 4, 4)))
-    with pytest.raises(InputError, match=r"expected \(0, 4, 4\)"):
-        reconstruct([], np.zeros((1, 4, 4)))
 
 
 @pytest.fixture(scope="module")

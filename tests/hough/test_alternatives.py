@@ -61,7 +61,6 @@ def test_a_seed_gives_the_same_bars(method):
     ("points", "options", "message"),
     [
         (np.ones((40, 3)), {}, "cloud of 40 points, .*two distinct"),
-        (np.array([[0, 0, 0], [1, np.nan, 0]]), {}, "1 of 2"),
         (cloud(), {"dx": float("nan")}, "dx = nan"),
         (cloud(), {"points_min": 1}, "points_min = 1"),
     ],

@@ -98,7 +98,7 @@ def test_a_segment_between_two_members_belongs_to_the_nearer():
 TOWER = build_tower()
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=8, deadline=None)
 @given(st.integers(0, 10_000))
 def test_the_true_members_score_perfectly_in_any_frame_and_orientation(seed):
     T = rigid(seed)

@@ -54,7 +54,7 @@ def test_without_a_calibration_the_flight_is_the_same_object_and_zeros_stay_no_r
     assert points[2, 0] == pytest.approx(1.99)
 
 
-@pytest.mark.parametrize("value", [0.0, float("nan"), -1.0, 2.0])
+@pytest.mark.parametrize("value", [float("nan"), -1.0, 2.0])
 def test_an_impossible_scale_is_refused_in_one_line(value):
     with pytest.raises(InputError, match="range_scale") as caught:
         TofSettings(range_scale=value)

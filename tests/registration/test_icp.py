@@ -22,17 +22,14 @@ def test_images_and_invalid_returns_are_accepted():
         ({"source": np.zeros((0, 3))}, "source: no finite point"),
         ({"target": np.full((4, 4, 3), np.nan)}, "target: no finite point"),
         ({"target": VoxelMap(0.1)}, "target: "),
-        ({"source": np.zeros((7, 2))}, r"source: an array of shape \(7, 2\)"),
         ({"source": np.eye(3)[:2], "method": "icp"}, "source: 2 finite .* at least 3"),
         ({"source": np.ones((5, 3)), "method": "plane"}, "source: 5 finite .* at least 6"),
         ({"target": np.ones((3, 3))}, "target: 3 finite points, expected at least 4"),
         ({"T_init": np.eye(3)}, r"T_init: an array of shape \(3, 3\)"),
-        ({"method": "icpp"}, "method = 'icpp': expected one of 'icp'"),
         ({"dof": ""}, "dof = ''"),
         ({"robust_scale": 0.0}, "robust_scale = 0.0"),
         ({"max_correspondence_m": np.inf}, "max_correspondence_m = inf"),
         ({"translation_epsilon_m": np.nan}, "translation_epsilon_m = nan"),
-        ({"iterations_max": 0}, "iterations_max = 0"),
     ],
 )
 def test_invalid_input_is_named_in_the_error(change, message):
