@@ -152,31 +152,29 @@ def flown():
     return flight, truth, experiment.estimate(settings, flight, truth)
 
 
-def ate_m(estimate, truth):
-    return score_trajectory(estimate.corrected, truth.trajectory)["ate_rmse_m"]
+@pytest.fixture(scope="module")
+def without(flown):
+    """The flight smoothed without the readings of its IMU."""
+    return smooth(flown[0], flown[2])
 
 
-def test_smoothing_with_an_imu_finds_the_vertical_that_the_prior_has_wrong(flown):
+def test_smoothing_with_an_imu_finds_the_vertical_that_the_prior_has_wrong(flown, without):
     flight, truth, estimate = flown
-    without, found = smooth(flight, estimate), smooth(flight, estimate, imu=SHEET)
+    found = smooth(flight, estimate, imu=SHEET)
     up = truth.trajectory.at(flight.prior.stamp_s).T_world_drone[:, 2, :3]
     lean, before = (
         np.linalg.norm(each.T_world_drone[:, 2, :3] - up, axis=1).mean() for each in (found.corrected, flight.prior)
     )
     assert lean < 0.4 * before
-    assert ate_m(found, truth) < ate_m(without, truth)
+    errors = [score_trajectory(each.corrected, truth.trajectory)["ate_rmse_m"] for each in (found, without)]
+    assert errors[0] < errors[1]
     sigma = np.sqrt(found.pose_covariance[1:, [3, 4], [3, 4]])
     assert sigma.min() > 0
     assert sigma.max() < drift_factors.TILT_SIGMA_RAD
 
 
-def test_a_flight_without_readings_is_smoothed_without(flown):
+def test_a_flight_without_readings_is_smoothed_without(flown, without):
     flight, _, estimate = flown
-    short = replace(flight.first(20), imu=None)
-    first = replace(
-        estimate, prior=short.prior, corrected=Trajectory(short.prior.stamp_s, estimate.corrected.T_world_drone[:20]),
-        matches=estimate.matches[:20], reason=estimate.reason[:20], update_s=estimate.update_s[:20],
-    )  # fmt: skip
-    one, other = (smooth(short, first, imu=imu) for imu in (None, SHEET))
-    assert one.unsmoothed == ""
-    np.testing.assert_array_equal(one.corrected.T_world_drone, other.corrected.T_world_drone)
+    found = smooth(replace(flight, imu=None), estimate, imu=SHEET)
+    assert found.unsmoothed == ""
+    np.testing.assert_array_equal(found.corrected.T_world_drone, without.corrected.T_world_drone)

@@ -41,7 +41,7 @@ def offsets(found, tower) -> np.ndarray:
 @pytest.mark.parametrize(("radius_m", "side"), [(0.012, "one side"), (0.03, "all round"), (0.05, "one side")])
 def test_the_axes_of_tubes_are_found_from_one_side_and_from_all(radius_m, side):
     tower, settings = build_tubes(AXES, radius_m), StructureSettings(adjust=False)
-    flight = around(tower, 160, noise_m=0.01, seed=11, turn_rad=SIDES[side])
+    flight = around(tower, 100, noise_m=0.01, seed=11, turn_rad=SIDES[side])
     T = flight.prior.T_world_drone
     plain, _ = find_bars(Ridges.of(MappedScans.mapped(flight.scans, T, settings).voxels))
     assert np.nanmedian(offsets(plain, tower)) > 0.2 * radius_m  # the bias to the near side
@@ -74,7 +74,7 @@ def test_angle_sections_beside_a_tube_are_not_round(side):
     members = [*tower.members, replace(tube.members[0], joints=(n, n + 1))]
     joints = np.concatenate([tower.joints, tube.joints])
     both = Tower(joints, tuple(members), *mesh_members(joints, members), tower.settings)
-    flight = around(both, 120, noise_m=0.01, seed=11, turn_rad=SIDES[side])
+    flight = around(both, 80, noise_m=0.01, seed=11, turn_rad=SIDES[side])
     found = reconstruct(flight.scans, flight.prior.T_world_drone, settings=StructureSettings(floor_m=0.1))
     assert len(found) > 15
     assert found.tube.sum() == 1
@@ -148,7 +148,7 @@ def test_points_across_a_line_are_no_plate_that_it_lies_in(noise_m):
 
 @pytest.mark.parametrize("turn_rad", [1.5, math.pi])
 def test_a_deck_is_told_from_bars(turn_rad):
-    settings, flight = StructureSettings(floor_m=0.1), around(decked_tower(), 160, 0.01, 11, turn_rad)
+    settings, flight = StructureSettings(floor_m=0.1), around(decked_tower(), 100, 0.01, 11, turn_rad)
     T = flight.prior.T_world_drone
     fitted = BarFitter(MappedScans.mapped(flight.scans, T, settings)).find_and_fit(2)
     bars, is_plate = fitted.bars, fitted.bars.kind == shapes.PLATE

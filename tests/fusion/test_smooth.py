@@ -108,7 +108,7 @@ def test_a_made_up_flight_comes_back_to_the_truth():
 @pytest.mark.parametrize("thickness", [0.06, 0.12])
 def test_the_thickness_is_found_though_a_section_is_wrong(thickness):
     """The inner faces of two posts and a beam are in view. The other beam is fitted the wrong way round."""
-    T, bars, observed = made_up(0, 0.002, scans=80, thickness=thickness)
+    T, bars, observed = made_up(0, 0.001, scans=80, thickness=thickness)
     wrong = replace(bars, turn=np.add(bars.turn, [0, 0, 0, 0, np.pi, 0]), thickness=THICKNESS)
     state = problem.start(T, T, wrong)
     for _ in range(4):

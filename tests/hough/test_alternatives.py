@@ -33,18 +33,13 @@ def test_clutter_makes_no_bar(method):
     assert len(find_bars_by(method, np.random.default_rng(1).uniform(-1, 1, (300, 3)), dx=0.05)) == 0
 
 
-def test_planes_give_one_bar_for_many_in_a_plane():
-    points = cloud(np.array([([x, 0, 0], [x, 0, 2]) for x in (0, 0.5, 1, 1.5)], dtype=float))
-    assert len(find_bars_by("hough", points, dx=0.05)) == 4
-    assert len(find_bars_by("ransac-planes", points, dx=0.05)) <= 1
+def test_bars_that_share_a_plane_or_cross_are_told_apart_by_lines_and_a_plane_holds_one():
+    parallel = cloud(np.array([([x, 0, 0], [x, 0, 2]) for x in (0, 0.5, 1, 1.5)], dtype=float))
+    cross = cloud(np.array([([-1, 0, 0], [1, 0, 0]), ([0, 0, -1], [0, 0, 1])], dtype=float), points=1500)
+    for method in ("hough", "ransac-lines"):
+        assert len(find_bars_by(method, parallel, dx=0.05)) == 4
+        assert len(find_bars_by(method, cross, dx=0.05)) == 2
     assert len(find_bars_by("ransac-planes", cloud(BARS[:1]), dx=0.05)) == 1
-
-
-def test_dbscan_takes_touching_bars_for_one_cluster():
-    cross = np.array([([-1, 0, 0], [1, 0, 0]), ([0, 0, -1], [0, 0, 1])], dtype=float)
-    points = cloud(cross, points=1500)
-    assert len(find_bars_by("hough", points, dx=0.05)) == len(find_bars_by("ransac-lines", points, dx=0.05)) == 2
-    assert len(find_bars_by("dbscan", points, dx=0.05)) == 0
 
 
 @pytest.mark.parametrize("method", FINDERS)
