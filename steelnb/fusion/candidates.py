@@ -73,7 +73,7 @@ def find_struts(ridges: Ridges, bars: Segments, hide_m: float, grids: int = GRID
     struts = segment_structure(points, STRUT_TUBE_M, MIN_VOTES, STRUT_LENGTH_MIN_M / STRUT_TUBE_M, grids)
     beyond = beyond_ends(struts, REACH_M, STRUT_STEP_M)
     near = within(beyond.reshape(-1, 3), bars, TUBE_M).reshape(beyond.shape[:3])
-    return struts.take(near.any(axis=1).all(axis=0))
+    return struts.take(np.asarray(near.any(axis=1).all(axis=0)))
 
 
 def beyond_ends(bars: Segments, reach_m: float, step_m: float) -> Array:
