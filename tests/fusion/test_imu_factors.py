@@ -144,9 +144,9 @@ def test_readings_in_other_units_or_axes_are_refused(change, says):
 
 @pytest.fixture(scope="module")
 def flown():
-    """A flight of 16 s around the tower, with a realistic IMU, and roll and pitch from a filter on it."""
+    """A flight of 12 s around the tower, with a realistic IMU, and roll and pitch from a filter on it."""
     settings = ExperimentSettings.preset(
-        "loops", "random-walk", seed=12, duration_s=16.0, method="best", overrides={"imu": SHEET.model_dump()}
+        "loops", "random-walk", seed=12, duration_s=12.0, method="best", overrides={"imu": SHEET.model_dump()}
     )
     flight, truth = experiment.simulate(settings)
     return flight, truth, experiment.estimate(settings, flight, truth)

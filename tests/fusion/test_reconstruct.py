@@ -61,8 +61,8 @@ def test_a_flight_without_scans_is_refused():
 
 @pytest.fixture(scope="module")
 def flown():
-    """Scans of 16 s around the tower, their true poses, the structure reconstructed at them, and the truth."""
-    flight, truth = simulate(ExperimentSettings.preset("loops", "none", seed=11, duration_s=16.0, method="best"))
+    """Scans of 12 s around the tower, their true poses, the structure reconstructed at them, and the truth."""
+    flight, truth = simulate(ExperimentSettings.preset("loops", "none", seed=11, duration_s=12.0, method="best"))
     poses = truth.trajectory.at(flight.scans.stamp_s).T_world_drone
     return flight, poses, rebuilt(flight, poses), reference(truth.tower, truth.visibility)
 

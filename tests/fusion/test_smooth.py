@@ -22,7 +22,7 @@ NOISE = "constant-drift:0.0004+random-walk+yaw-random-walk"
 
 @pytest.fixture(scope="module")
 def flown():
-    settings = ExperimentSettings.preset("loops", NOISE, seed=11, duration_s=16.0, method="best")
+    settings = ExperimentSettings.preset("loops", NOISE, seed=11, duration_s=12.0, method="best")
     flight, truth = experiment.simulate(settings)
     return flight, truth, experiment.estimate(settings, flight, truth)
 
