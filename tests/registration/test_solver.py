@@ -64,7 +64,7 @@ class Problem:
 @pytest.mark.parametrize("error", ERRORS)
 def test_loss_gradient_and_hessian_equal_the_definition(error, robust):
     problem, step = Problem(error, robust), 1e-6
-    loss, inliers, H, b = problem.fast(problem.T)
+    loss, inliers, _, H, b = problem.fast(problem.T)
     assert inliers == (problem.match >= 0).sum() > 100
     assert loss == pytest.approx(problem.loss(np.zeros(6)), rel=1e-9)
     gradient = [(problem.loss(step * d) - problem.loss(-step * d)) / (2 * step) for d in np.eye(6)]
