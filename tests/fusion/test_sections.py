@@ -17,7 +17,7 @@ from tests import naive
 from tests.fusion.made import bars_of, random_bars, rigid
 
 
-@pytest.mark.parametrize(("turn", "flange"), zip([0, 5, 17], fit.FLANGES_M[[1, 5, 9]], strict=True))
+@pytest.mark.parametrize(("turn", "flange"), [(0, fit.FLANGES_M[1]), (5, fit.FLANGES_M[5]), (17, fit.FLANGES_M[9])])
 def test_the_search_takes_the_same_steps_with_tables_as_with_outlines(turn, flange):
     rng = np.random.default_rng(turn)
     view = rng.integers(0, VIEWS, 200)

@@ -46,7 +46,7 @@ def test_surfaces_have_no_bars_and_scattered_points_few(name):
 def test_upright_cylinders_of_any_width_are_bars(radius_m):
     rng = np.random.default_rng(3)
     posts = [((x, y, 0), (x, y, 5)) for x in (0, 3) for y in (0, 3)]
-    ground = sheet(7.0, 7.0, per_m2=1500) - [2.0, 2.0, 0.0]
+    ground = sheet(7.0, 7.0, per_m2=1000) - [2.0, 2.0, 0.0]
     found = bars_of_cloud(np.concatenate([rods(rng, *posts, radius_m=radius_m, noise_m=0.01), ground]))
     assert len(found.bars) == 4
     assert found.bars.length.min() > 4.4
@@ -71,7 +71,8 @@ def uneven_ground() -> np.ndarray:
 
 
 DENSE, NOISY = (scanned(TOWER, 800, 0.08, noise_m) for noise_m in (0.005, 0.01))
-GROUND, WALL = sheet(7.0, 7.0) - [3.5, 3.5, 0.0], sheet(7.0, 7.0)[:, [0, 2, 1]] + [-3.5, 3.0, 0.0]
+FLAT = sheet(7.0, 7.0, per_m2=1200)
+GROUND, WALL = FLAT - [3.5, 3.5, 0.0], FLAT[:, [0, 2, 1]] + [-3.5, 3.0, 0.0]
 BESIDE = {
     "nothing": DENSE,
     "ground": np.concatenate([DENSE, GROUND]),
@@ -135,7 +136,7 @@ def test_wide_columns_beside_narrow_pipes_are_bars(radius_m):
     rng = np.random.default_rng(2)
     columns = [((x, y, 0), (x, y, 5)) for x in (0, 6) for y in (0, 6)]
     pipes = [((0.5, y, z), (5.5, y, z)) for y in (0, 6) for z in (1.5, 2.5, 3.5)]
-    ground = sheet(8.0, 8.0, per_m2=1200) - [1.0, 1.0, 0.0]
+    ground = sheet(8.0, 8.0, per_m2=800) - [1.0, 1.0, 0.0]
     cloud = np.concatenate([rods(rng, *columns, radius_m=radius_m), rods(rng, *pipes, radius_m=0.05), ground])
     assert len(checked(bars_of_cloud(cloud), columns + pipes, 1.0, 1.0).member) <= 11
 
@@ -209,7 +210,7 @@ def test_ground_that_is_rougher_and_sparser_than_the_steel_does_not_set_the_tube
 
 @pytest.mark.parametrize(("face_m", "beside"), [(0.25, ""), (0.3, "a tree"), (0.4, "a tower")])
 def test_the_members_of_a_slim_mast_are_told_apart(face_m, beside):
-    mast, rng = lattice(4.0, face_m, face_m, round(4.0 / face_m)), np.random.default_rng(3)
+    mast, rng = lattice(2.5, face_m, face_m, round(2.5 / face_m)), np.random.default_rng(3)
     bars, points = mast, scanned(mast, 500, 0.02, 0.002)
     if beside == "a tree":
         points = np.concatenate([points, tree(rng, 3.0, 0.0)])
