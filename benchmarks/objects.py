@@ -8,8 +8,7 @@ import numpy as np
 from steelnb.core.types import Array
 from steelnb.fusion.whole_cloud import bars_of_cloud
 from steelnb.metrics.segments import match_members
-from tests.fusion.test_whole_cloud import STEEL, TOWER, around, tree
-from tests.lattice import lattice, scanned
+from tests.lattice import STEEL, TOWER, lattice, on_ground, scanned, tree
 
 FACES_M, PER_M = (0.2, 0.25, 0.3, 0.4, 0.5), (500, 1000, 2000)
 
@@ -20,13 +19,14 @@ def main() -> None:
         mast = lattice(4.0, face_m, face_m, round(4.0 / face_m))
         long = mast[np.linalg.norm(mast[:, 1] - mast[:, 0], axis=1) > 1.2 * face_m]
         for per_m in PER_M:
-            report(f"mast of {face_m} m, {per_m} points/m", around(scanned(mast, per_m, 0.02, 0.002), 4.0), mast, long)
+            cloud = on_ground(scanned(mast, per_m, 0.02, 0.002), 4.0)
+            report(f"mast of {face_m} m, {per_m} points/m", cloud, mast, long)
     for seed in (3, 4, 5, 6):
         rng = np.random.default_rng(seed)
         beside, near = ([tree(rng, *place) for place in places] for places in (((5, 0), (-3, 5)), ((3, 0), (-2, 2))))
-        report(f"trees, seed {seed}", around(np.concatenate(beside), 6.0), TOWER, TOWER)
-        report(f"trees beside a tower, seed {seed}", around(np.concatenate([*beside, STEEL]), 6.0), TOWER, TOWER)
-        report(f"trees that reach into it, seed {seed}", around(np.concatenate([*near, STEEL]), 6.0), TOWER, TOWER)
+        report(f"trees, seed {seed}", on_ground(np.concatenate(beside), 6.0), TOWER, TOWER)
+        report(f"trees beside a tower, seed {seed}", on_ground(np.concatenate([*beside, STEEL]), 6.0), TOWER, TOWER)
+        report(f"trees that reach into it, seed {seed}", on_ground(np.concatenate([*near, STEEL]), 6.0), TOWER, TOWER)
 
 
 def report(name: str, cloud: Array, bars: Array, sought: Array) -> None:

@@ -38,6 +38,49 @@ def scanned(bars: np.ndarray, per_m: float, width: float, noise: float, seed: in
     return cloud + rng.normal(scale=noise, size=cloud.shape)
 
 
+TOWER = lattice(8, 4, 2, 3)
+STEEL = scanned(TOWER, 400, 0.08, 0.005)
+
+
+def sheet(width: float, height: float, noise_m: float = 0.005, per_m2: int = 2500, seed: int = 0) -> np.ndarray:
+    """Points on a rectangle at z = 0 from the origin along x and y."""
+    rng = np.random.default_rng(seed)
+    count = int(per_m2 * width * height)
+    flat = np.column_stack([rng.uniform(0, width, count), rng.uniform(0, height, count), np.zeros(count)])
+    return flat + rng.normal(scale=noise_m, size=flat.shape)
+
+
+def on_ground(points: np.ndarray, half_m: float, per_m2: int = 800) -> np.ndarray:
+    """The points on a square of level ground."""
+    size = 2 * half_m
+    return np.concatenate([points, sheet(size, size, per_m2=per_m2) - [half_m, half_m, 0.0]])
+
+
+def rods(rng: np.random.Generator, *ends, radius_m: float, per_m2: float = 2000, noise_m: float = 0.005) -> np.ndarray:
+    """Points on round bars, with Gaussian noise."""
+    points = []
+    for start, end in np.array(ends, dtype=float):
+        length_m = np.linalg.norm(end - start)
+        axis = (end - start) / length_m
+        n = int(per_m2 * 2 * np.pi * radius_m * length_m)
+        first = np.cross(axis, [0.6, 0.8, 0.0] if axis[2] else [0, 0, 1])
+        first /= np.linalg.norm(first)
+        turn = rng.uniform(0, 2 * np.pi, (n, 1))
+        around = radius_m * (np.cos(turn) * first + np.sin(turn) * np.cross(axis, first))
+        points.append(start + rng.uniform(0, length_m, (n, 1)) * axis + around)
+    return np.concatenate(points) + rng.normal(0, noise_m, (sum(map(len, points)), 3))
+
+
+def tree(rng: np.random.Generator, x: float, y: float) -> np.ndarray:
+    """Trunk, branches and leaves."""
+    tips = [np.array([np.cos(turn), np.sin(turn), 0.8]) for turn in rng.uniform(0, 2 * np.pi, 12)]
+    starts = [np.array([x, y, height]) for height in rng.uniform(2.0, 4.5, 12)]
+    branches = [(start, start + rng.uniform(0.8, 1.6) * tip) for start, tip in zip(starts, tips, strict=True)]
+    leaves = rng.normal(size=(8_000, 3)) * [0.8, 0.8, 1.0] + [x, y, 4.5]
+    wood = [rods(rng, ((x, y, 0.0), (x, y, 5.0)), radius_m=0.1), rods(rng, *branches, radius_m=0.03)]
+    return np.concatenate([*wood, leaves[leaves[:, 2] > 1.5]])
+
+
 def thinned(points: np.ndarray, apart: float) -> np.ndarray:
     """A subset in which no two points are closer than ``apart``, as in delivered LiDAR surveys."""
     tree, keep, gone = cKDTree(points), [], np.zeros(len(points), dtype=bool)

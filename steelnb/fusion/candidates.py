@@ -3,7 +3,6 @@
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from steelnb.core.kernels import njit
 from steelnb.core.types import Array, IntArray, Segments
@@ -48,23 +47,23 @@ def find_bars(ridges: Ridges, grids: int = GRIDS, rise_m: float = math.inf) -> t
     found = f"{len(points)} points on ridges" + (f" ({others} more lie on surfaces)" if others else "")
     if len(points) < MIN_VOTES or not np.linalg.norm(np.ptp(points, axis=0)) > 2 * LENGTH_MIN_M:
         return Segments.empty(), f"{found}: too few or too close together for a bar"
-    bars = bars_on_ridges(points, TUBE_M, MIN_VOTES, grids, rise_m)
+    bars = bars_on_ridges(points, MIN_VOTES, grids, rise_m)
     if not len(bars):
         return bars, f"none of {found} lie along a line"
     struts = find_struts(ridges, bars, STRUT_HIDE_M, grids)
     return merge_pieces(Segments.joined((bars, struts)), rise_m=rise_m), ""
 
 
-def bars_on_ridges(points: Array, tube_m: float, min_votes: int, grids: int, rise_m: float) -> Segments:
-    """Lines in tubes of radius ``tube_m`` through points on ridges ``(N, 3)``, metres, split at bends and merged."""
-    bars = segment_structure(points, tube_m, min_votes, LENGTH_MIN_M / TUBE_M, grids)
+def bars_on_ridges(points: Array, min_votes: int, grids: int, rise_m: float) -> Segments:
+    """Lines in tubes through points on ridges ``(N, 3)``, metres, split at bends and merged."""
+    bars = segment_structure(points, TUBE_M, min_votes, LENGTH_MIN_M / TUBE_M, grids)
     return merge_pieces(split_bends(points, bars), rise_m=rise_m)
 
 
 def find_struts(ridges: Ridges, bars: Segments, hide_m: float, grids: int = GRIDS) -> Segments:
     """The short bars between the ``bars`` of a voxel map. They have few points next to long bars, and their ends lie in
     the tubes of these. So the search is limited to voxels off all surfaces and farther than ``hide_m`` from all bars.
-    """
+    Both ends of a strut come near one of these when it is extended."""
     mean = ridges.voxels.means()
     hidden = within(mean, bars, hide_m) | (ridges.surfaces.label_of(mean) >= 0)
     points = ridge_points(ridges.voxels, RIDGE_RADIUS_M, RIDGE_SHARE, STRUT_CONTRACT_M, hidden)
@@ -72,15 +71,9 @@ def find_struts(ridges: Ridges, bars: Segments, hide_m: float, grids: int = GRID
     if len(points) < MIN_VOTES:
         return Segments.empty()
     struts = segment_structure(points, STRUT_TUBE_M, MIN_VOTES, STRUT_LENGTH_MIN_M / STRUT_TUBE_M, grids)
-    return struts.take(is_held(struts, bars, REACH_M, STRUT_STEP_M, TUBE_M))
-
-
-def is_held(bars: Segments, others: Segments, reach_m: float, step_m: float, near_m: float) -> NDArray[np.bool_]:
-    """Whether both ends of each bar come within ``near_m`` of one of the ``others`` when they are extended by up to
-    ``reach_m`` in steps of ``step_m``: ``(B,)``."""
-    beyond = beyond_ends(bars, reach_m, step_m)
-    near = within(beyond.reshape(-1, 3), others, near_m).reshape(beyond.shape[:3])
-    return np.asarray(near.any(axis=1).all(axis=0))
+    beyond = beyond_ends(struts, REACH_M, STRUT_STEP_M)
+    near = within(beyond.reshape(-1, 3), bars, TUBE_M).reshape(beyond.shape[:3])
+    return struts.take(np.asarray(near.any(axis=1).all(axis=0)))
 
 
 def beyond_ends(bars: Segments, reach_m: float, step_m: float) -> Array:

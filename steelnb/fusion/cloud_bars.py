@@ -1,6 +1,7 @@
 """The bars of a merged cloud, the surfaces that were left out, and what they leave."""
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +21,7 @@ with a smaller share of those has none either."""
 
 @dataclass(frozen=True, eq=False)
 class CloudBars:
-    """The bars of a cloud, strongest first, and the surfaces that were left out.
+    """The bars of a cloud ``points (N, 3)``, strongest first, and the surfaces that were left out.
 
     ``freedom (B,)``: share of the points around a bar that lie on it, 0 to 1 (`freedom_of`); ``width_m (B,)``;
     ``surfaces``; ``surface (N,)``: number of the surface that each point of the cloud lies on, or −1;
@@ -30,6 +31,7 @@ class CloudBars:
     ``apart``: number of bars that were dropped as part of no structure (`in_structures`).
     """
 
+    points: Array
     bars: Segments
     freedom: Array
     width_m: Array
@@ -64,8 +66,8 @@ class CloudBars:
         along = np.concatenate([np.linspace(a, b, 2 + int(length / ALONG_M))[:-1] for a, b, length in ends])
         return float((nearest_bar(along, self.bars, 0.5 * WIDTH_MAX * self.tube_m, self.tube_m) >= 0).mean())
 
-    def scaled(self, scale: float) -> "CloudBars":
-        """The same with all lengths multiplied."""
+    def scaled(self, scale: float, points: Array) -> "CloudBars":
+        """The same with all lengths multiplied; ``points (N, 3)``: the cloud at this scale."""
         bars = replace(
             self.bars, start=scale * self.bars.start, end=scale * self.bars.end, radius=scale * self.bars.radius
         )
@@ -73,36 +75,37 @@ class CloudBars:
         lengths = {
             name: scale * getattr(self, name) for name in ("width_m", "voxel_m", "tube_m", "narrowest_m", "typical_m")
         }
-        return replace(self, bars=bars, surfaces=surfaces, **lengths)
+        return replace(self, points=points, bars=bars, surfaces=surfaces, **lengths)
 
-    def off(self, points: Array) -> Array:
-        """Those of the cloud's points ``(N, 3)`` that lie on no surface and on no bar: ``(M, 3)``."""
-        steel = points[self.surface < 0]
-        return steel[self.is_off(steel)]
+    @cached_property
+    def steel(self) -> Array:
+        """The points on no surface ``(M, 3)``."""
+        return self.points[self.surface < 0]
 
-    def is_off(self, points: Array) -> NDArray[np.bool_]:
-        """Whether each of some points ``(N, 3)`` lies on no bar ``(N,)``."""
-        is_off, half_m = np.ones(len(points), dtype=bool), FIT_TUBES * np.maximum(0.5 * self.width_m, self.tube_m)
+    @cached_property
+    def is_off(self) -> NDArray[np.bool_]:
+        """Whether each of the points on no surface lies on no bar ``(M,)``."""
+        is_off, half_m = np.ones(len(self.steel), dtype=bool), FIT_TUBES * np.maximum(0.5 * self.width_m, self.tube_m)
         for bar in range(len(self.bars)):
             own = self.bars.take(np.array([bar]))
-            is_off[is_off] = nearest_bar(points[is_off], own, float(half_m[bar]), self.tube_m) < 0
+            is_off[is_off] = nearest_bar(self.steel[is_off], own, float(half_m[bar]), self.tube_m) < 0
         return is_off
 
-    def share_off(self, points: Array) -> float:
-        """Share of the points ``(N, 3)`` on no surface that lie on no bar; 0 if all lie on surfaces."""
-        return len(self.off(points)) / max(int(np.count_nonzero(self.surface < 0)), 1)
+    @property
+    def share_off(self) -> float:
+        """Share of the points on no surface that lie on no bar; 0 if all lie on surfaces."""
+        return np.count_nonzero(self.is_off) / max(len(self.steel), 1)
 
     def joined(self, more: "CloudBars") -> "CloudBars":
         """These bars and those of other tubes, the strongest first."""
         bars = Segments.joined([self.bars, more.bars])
-        order = np.argsort(np.append(-self.bars.count, -more.bars.count), kind="stable")
+        order = np.argsort(-bars.count, kind="stable")
         freedom, width_m = np.append(self.freedom, more.freedom), np.append(self.width_m, more.width_m)
         tube_m, narrowest_m = self.tube_m if len(self.bars) else more.tube_m, min(self.narrowest_m, more.narrowest_m)
         joined = replace(self, bars=bars, freedom=freedom, width_m=width_m, tube_m=tube_m, narrowest_m=narrowest_m)
         return joined.take(order)
 
-    def of_structures(self, points: Array) -> "CloudBars":
-        """Those bars of the cloud ``(N, 3)`` that belong to a structure."""
-        steel = points[self.surface < 0]
-        belongs = in_structures(steel, ~self.is_off(steel), self.bars, self.tube_m, points[self.surface >= 0])
+    def of_structures(self) -> "CloudBars":
+        """Those bars that belong to a structure."""
+        belongs = in_structures(self.steel, ~self.is_off, self.bars, self.tube_m, self.points[self.surface >= 0])
         return replace(self.take(np.flatnonzero(belongs)), apart=int(np.count_nonzero(~belongs)))

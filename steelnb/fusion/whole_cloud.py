@@ -70,59 +70,58 @@ def bars_of_cloud(
     def search(points: Array, tube_m: float) -> CloudBars:
         if on_stage is not None:
             on_stage(f"searching {len(points)} points in tubes of {tube_m:.2g} m")
-        return _bars_at_scale(points, tube_m / TUBE_M, voxel_m, min_votes)
+        scale = tube_m / TUBE_M
+        found = _bars_in_tubes(points / scale, voxel_m / scale if voxel_m else VOXEL_M, min_votes)
+        return found if scale == 1.0 else found.scaled(scale, points)
 
     found = search(points, tube_m or max(default_tube(points), least_m))
     if tube_m is None:
-        steel = points[found.surface < 0]
-        of_steel_m = max(default_tube(steel), least_m) if len(steel) > min_votes else found.tube_m
+        of_steel_m = max(default_tube(found.steel), least_m) if len(found.steel) > min_votes else found.tube_m
         if of_steel_m < STEEL_MAX * found.tube_m:
             found = search(points, of_steel_m)
         if not found.all_on_surfaces:
-            found = _in_wider_tubes(points, _in_narrower_tubes(points, found, least_m, search), search)
-    return found.of_structures(points)
+            found = _in_wider_tubes(_in_narrower_tubes(found, least_m, search), search)
+    return found.of_structures()
 
 
 TubeSearch = Callable[[Array, float], CloudBars]
 """Points, and the radius of the tubes → their bars."""
 
 
-def _in_narrower_tubes(points: Array, found: CloudBars, least_m: float, search: TubeSearch) -> CloudBars:
+def _in_narrower_tubes(found: CloudBars, least_m: float, search: TubeSearch) -> CloudBars:
     """The bars, and those of objects beside them that narrower tubes explain: masts whose members are close together,
     and models. Tubes are at least as wide as ``least_m``, and as an object's points are apart."""
-    rest, slim = found.off(points), found
+    rest, slim = found.steel[found.is_off], found
     number = objects_of(rest, APART * found.tube_m)
-    large = np.flatnonzero(np.bincount(number) > OFF_MIN * np.count_nonzero(found.surface < 0))
+    large = np.flatnonzero(np.bincount(number) > OFF_MIN * len(found.steel))
     for each in (rest[number == k] for k in large):
         narrowest_m = max(least_m, DX_PER_SPACING * spacing(each, 4))
         tubes = (found.tube_m * multiple for multiple in NARROWER)
         tries = (search(each, tube_m) for tube_m in tubes if tube_m >= narrowest_m)
         best, least = None, REST_MIN
         for bars in tries:
-            if (share := bars.share_off(each)) < least:
+            if (share := bars.share_off) < least:
                 best, least = bars, share
             if best is not None and (share > least or least < OFF_MIN):
                 break
         slim = slim.joined(best) if best is not None else slim
-    if len(found.bars) or not len(slim.bars) or np.bincount(number).max() == len(points):
+    if len(found.bars) or not len(slim.bars) or np.bincount(number).max() == len(found.points):
         return slim
-    whole = search(points, slim.tube_m)  # surfaces end nearer to slim members then
-    return whole if whole.share_off(points) < REST_MIN else slim
+    whole = search(found.points, slim.tube_m)  # surfaces end nearer to slim members then
+    return whole if whole.share_off < REST_MIN else slim
 
 
-def _in_wider_tubes(points: Array, found: CloudBars, search: TubeSearch) -> CloudBars:
+def _in_wider_tubes(found: CloudBars, search: TubeSearch) -> CloudBars:
     """The bars of wider tubes if those hold them, and else these, and wider ones among the points that they leave."""
     if not found.fit_tubes:
-        tries = (search(points, multiple * found.tube_m) for multiple in WIDER)
+        tries = (search(found.points, multiple * found.tube_m) for multiple in WIDER)
         found = next((each for each in tries if each.fit_tubes and each.share_inside(found.bars) >= KEPT_MIN), found)
-    rest, off = found.off(points), np.count_nonzero(found.surface < 0)
     for multiple in WIDER:
-        if len(rest) < max(REST_MIN * off, OFF_MIN * len(points)):
+        rest = found.steel[found.is_off]
+        if len(rest) < max(REST_MIN * len(found.steel), OFF_MIN * len(found.points)):
             break
         more = search(rest, multiple * found.tube_m)
-        if more.fit_tubes:
-            found = found.joined(more)
-            rest = found.off(points)
+        found = found.joined(more) if more.fit_tubes else found
     return found
 
 
@@ -137,12 +136,6 @@ def default_tube(points: Array) -> float:
     return min(max(TUBE_M, DX_PER_SPACING * spacing(points, 4)), diagonal_m / TUBES_MIN)
 
 
-def _bars_at_scale(points: Array, scale: float, voxel_m: float | None, min_votes: int) -> CloudBars:
-    """`bars_of_cloud` with tubes of this many times `TUBE_M`."""
-    found = _bars_in_tubes(points / scale, voxel_m / scale if voxel_m else VOXEL_M, min_votes)
-    return found if scale == 1.0 else found.scaled(scale)
-
-
 def _bars_in_tubes(points: Array, voxel_m: float, min_votes: int) -> CloudBars:
     """`bars_of_cloud` with tubes of `TUBE_M`."""
     voxels = VoxelMap(voxel_m)
@@ -152,7 +145,7 @@ def _bars_in_tubes(points: Array, voxel_m: float, min_votes: int) -> CloudBars:
     label = surfaces.label_of(points)
     off, bars = points[label < 0], Segments.empty()
     if len(free) >= min_votes and np.linalg.norm(np.ptp(free, axis=0)) > 2 * LENGTH_MIN_M:
-        bars = _tied(bars_on_ridges(free, TUBE_M, min_votes, GRIDS, RISE_M), off)
+        bars = _tied(bars_on_ridges(free, min_votes, GRIDS, RISE_M), off)
         bars, is_weak = refitted(off, split_bends(off, bars, FIT_TUBES * TUBE_M, BEND_SHARE))
         bars = _tied(bars, off, is_weak)
     width_m = widths_of(off, bars)
@@ -160,7 +153,8 @@ def _bars_in_tubes(points: Array, voxel_m: float, min_votes: int) -> CloudBars:
     sure = (freedom >= FREE_MIN) & ((bars.length >= SURE_M) | _held(bars, surfaces))
     typical_m = float(np.median(width_m)) if len(bars) else math.nan
     bars, freedom, width_m = bars.take(sure), freedom[sure], width_m[sure]
-    return CloudBars(bars, freedom, width_m, surfaces.described(label), label, voxel_m, TUBE_M, TUBE_M, typical_m)
+    described = surfaces.described(label)
+    return CloudBars(points, bars, freedom, width_m, described, label, voxel_m, TUBE_M, TUBE_M, typical_m)
 
 
 def _tied(bars: Segments, points: Array, is_weak: NDArray[np.bool_] | None = None) -> Segments:

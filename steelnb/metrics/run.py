@@ -75,7 +75,7 @@ def diagnose(flight: Flight, estimate: Estimate, truth: Truth, preprocess: Prepr
         return float(values[where].mean()) if where.any() else of_none
 
     return {
-        "lost_share": lost.mean() if len(lost) else 0.0,
+        "lost_share": lost.mean(),
         "growth_lost_m_s": mean(growth, lost),
         "growth_paired_m_s": mean(growth, ~lost),
         "raw_growth_lost_m_s": mean(raw_growth, lost),

@@ -49,14 +49,15 @@ def _metric(error, i, j, source_covariance, normal, target_covariance, R):
 def linearise(
     error, source, source_covariance, target, normal, target_covariance, match, T, R, centre, limit, scale, H, b,
 ):  # fmt: skip
-    """Write the normal equations at T about ``centre`` to ``H (6, 6)`` and ``b (6,)``; returns (loss, inliers).
+    """Write the normal equations at T about ``centre`` to ``H (6, 6)`` and ``b (6,)``; returns the loss, the number of
+    pairs and the sum of their squared distances, m².
 
     ``error`` is POINT, PLANE or GICP. Covariances are ``(N, 6)``, upper triangles xx xy xz yy yz zz. Those of the
     source are rotated by ``R (3, 3)``, which Gauss–Newton holds fixed. Pairs farther apart than ``limit`` are ignored.
     """
     H[:, :] = 0.0
     b[:] = 0.0
-    loss, inliers = 0.0, 0
+    loss, inliers, squared_m2 = 0.0, 0, 0.0
     limit2 = limit * limit
     r00, r01, r02, tx = T[0, 0], T[0, 1], T[0, 2], T[0, 3]
     r10, r11, r12, ty = T[1, 0], T[1, 1], T[1, 2], T[1, 3]
@@ -76,6 +77,7 @@ def linearise(
         if d2 > limit2:
             continue
         inliers += 1
+        squared_m2 += d2
         m00, m01, m02, m11, m12, m22 = _metric(error, i, j, source_covariance, normal, target_covariance, R)
         gx = m00 * ex + m01 * ey + m02 * ez
         gy = m01 * ex + m11 * ey + m12 * ez
@@ -118,21 +120,4 @@ def linearise(
     for r in range(6):
         for c in range(r):
             H[r, c] = H[c, r]
-    return loss, inliers
-
-
-@njit(cache=True, error_model="numpy")
-def squared_distance(source, target, match, T, limit):
-    """Sum of the squared distances, m², of the pairs of `linearise` at T."""
-    total = 0.0
-    for i in range(len(source)):
-        j = match[i]
-        if j < 0:
-            continue
-        d2 = 0.0
-        for r in range(3):
-            q = T[r, 0] * source[i, 0] + T[r, 1] * source[i, 1] + T[r, 2] * source[i, 2] + T[r, 3]
-            d2 += (q - target[j, r]) ** 2
-        if d2 <= limit * limit:
-            total += d2
-    return total
+    return loss, inliers, squared_m2

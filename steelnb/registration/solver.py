@@ -25,13 +25,15 @@ Term = Callable[[Array, Array], tuple[Array, Array, float]]
 
 
 class Normal(NamedTuple):
-    """Normal equations ``H (6, 6)``, ``b (6,)`` of a twist about ``centre (3,)``, with the loss and the inliers."""
+    """Normal equations ``H (6, 6)``, ``b (6,)`` of a twist about ``centre (3,)``, with the loss, the number of pairs
+    and the sum of their squared distances, m²."""
 
     H: Array
     b: Array
     centre: Array
     loss: float
     inliers: int
+    squared_m2: float
 
 
 @dataclass(frozen=True)
@@ -90,14 +92,14 @@ def align(
     def linearise(T: Array, match: IntArray, R: Array, limit: float) -> Normal:
         """Normal equations at T; ``R (3, 3)`` is the rotation of the source covariances."""
         H, b, centre = np.zeros((6, 6)), np.zeros(6), T[:3, :3] @ mean + T[:3, 3]
-        loss, inliers = kernels.linearise(
+        loss, inliers, squared_m2 = kernels.linearise(
             ERRORS[error], source, covariance, target.point, target.normal, target.covariance, match, T, R, centre,
             limit, float(options.robust_scale), H, b,
         )  # fmt: skip
         for term in terms:
             H_term, b_term, loss_term = term(T, centre)
             H, b, loss = H + H_term, b + b_term, loss + loss_term
-        return Normal(H, b, centre, loss, inliers)
+        return Normal(H, b, centre, loss, inliers, squared_m2)
 
     for iterations in range(1, options.iterations_max + 1):
         match = search(T)
@@ -127,9 +129,8 @@ def align(
             break
     match = search(T) if options.pairs_anew else match
     here = linearise(T, match, T[:3, :3], limit)
-    squared_m2 = kernels.squared_distance(source, target.point, match, T, limit)
     return RegistrationResult(
-        T, iterations, here.inliers, here.H, reason, here.centre, unobserved, squared_m2, len(source)
+        T, iterations, here.inliers, here.H, reason, here.centre, unobserved, here.squared_m2, len(source)
     )
 
 

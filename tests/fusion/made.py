@@ -1,6 +1,7 @@
 """Made-up bars, structures and rigid motions."""
 
 import functools
+import math
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -98,19 +99,14 @@ def made_up(seed: int, noise_m: float, tubes=(), scans: int = 40, thickness: flo
             found, of = [], []
             for b in rng.integers(0, 6, 400).tolist():
                 axis = segments.start[b] + rng.uniform(0.05, 0.95) * (segments.end[b] - segments.start[b])
-                view = across[b] @ (pose[:3, 3] - axis)
-                cosine, sine = view / np.linalg.norm(view)
+                u, v = across[b] @ (pose[:3, 3] - axis)
                 beside = rng.uniform(-0.6, 0.6) * bars.flange[b]
-                # from far enough all lines of sight across the bar are parallel; close by, aim again
-                for _ in range(20):
-                    front, *_ = shapes.front_face(bars.kind[b], corner[b], cosine, sine, beside)
-                    point = axis + across[b].T @ [cosine * front - sine * beside, sine * front + cosine * beside]
-                    view = across[b] @ (pose[:3, 3] - point)
-                    before, (cosine, sine) = (cosine, sine), view / np.linalg.norm(view)
-                    if abs(cosine - before[0]) + abs(sine - before[1]) < 1e-14:
-                        break
+                towards = math.atan2(v, u) - math.asin(beside / math.hypot(u, v))
+                cosine, sine = math.cos(towards), math.sin(towards)
+                front, *_ = shapes.front_face(bars.kind[b], corner[b], cosine, sine, beside)
                 if front < -1e8:
                     continue
+                point = axis + across[b].T @ [cosine * front - sine * beside, sine * front + cosine * beside]
                 ray = point - pose[:3, 3]
                 ray = ray + noise_m * rng.standard_normal() * ray / np.linalg.norm(ray)
                 found.append(ray @ pose[:3, :3])

@@ -54,17 +54,15 @@ def test_a_frame_is_found_with_its_joints_wherever_it_stands(seed, size, yaw):
     assert np.bincount(tie[:, 1]).tolist() == [2] * 5
 
 
-def test_bad_input_is_refused():
+def test_a_flight_without_scans_is_refused():
     with pytest.raises(InputError, match="without a return"):
         reconstruct([], np.zeros((0, 4, 4)))
-    with pytest.raises(InputError, match=r"expected \(0, 4, 4\)"):
-        reconstruct([], np.zeros((1, 4, 4)))
 
 
 @pytest.fixture(scope="module")
 def flown():
-    """Scans of 16 s around the tower, their true poses, the structure reconstructed at them, and the truth."""
-    flight, truth = simulate(ExperimentSettings.preset("loops", "none", seed=11, duration_s=16.0, method="best"))
+    """Scans of 12 s around the tower, their true poses, the structure reconstructed at them, and the truth."""
+    flight, truth = simulate(ExperimentSettings.preset("loops", "none", seed=11, duration_s=12.0, method="best"))
     poses = truth.trajectory.at(flight.scans.stamp_s).T_world_drone
     return flight, poses, rebuilt(flight, poses), reference(truth.tower, truth.visibility)
 
@@ -110,7 +108,7 @@ def before_a_wall(tower):
 @pytest.mark.slow
 def test_ground_and_a_wall_behind_the_tower_have_no_bars_and_take_none_away():
     tower = small_tower()
-    alone, walled = (around(each, 40, 0.01, 1) for each in (tower, before_a_wall(tower)))
+    alone, walled = (around(each, 30, 0.01, 1) for each in (tower, before_a_wall(tower)))
     bars, beside = (
         reconstruct(flight.scans, flight.prior.T_world_drone, settings=StructureSettings(floor_m=floor_m)).segments
         for flight, floor_m in ((alone, 0.2), (walled, -1.0))
@@ -127,7 +125,7 @@ def test_a_bare_wall_has_no_bars_and_the_reason_says_where_its_points_are():
     walled = before_a_wall(small_tower())
     on_wall = walled.triangle_member == ON_PLATE
     wall = replace(walled, triangles=walled.triangles[on_wall], triangle_member=walled.triangle_member[on_wall])
-    flight = around(wall, 40, 0.01, 1)
+    flight = around(wall, 20, 0.01, 1)
     found = reconstruct(flight.scans, flight.prior.T_world_drone)
     assert not len(found)
     assert "on surfaces" in found.reason
@@ -137,7 +135,7 @@ def test_a_bare_wall_has_no_bars_and_the_reason_says_where_its_points_are():
 def test_axes_are_more_accurate_with_the_thickness_of_the_sections():
     """Flanges a seventh thick, the thickest that are rolled: known, or estimated by an adjustment."""
     tower = small_tower(0.12 / 7, 0.072 / 7)
-    flight, axes = around(tower, 40, 0.01, 1), reference(tower, SliceCounter(tower.axes).visibility()).axes
+    flight, axes = around(tower, 30, 0.01, 1), reference(tower, SliceCounter(tower.axes).visibility()).axes
     given = {"usual": {}, "known": {"thickness": 1 / 7}, "adjusted": {"adjust": True}}
     offset_m = {}
     for name, values in given.items():

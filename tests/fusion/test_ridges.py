@@ -1,6 +1,7 @@
 """The ridge filter against its definition, voxel by voxel."""
 
 import numpy as np
+import pytest
 
 from steelnb.fusion.ridges import ridge_points
 from steelnb.points import VoxelMap
@@ -17,20 +18,13 @@ def haze(seed: int) -> VoxelMap:
     return voxels
 
 
-def test_ridges_are_those_of_the_definition() -> None:
+@pytest.mark.parametrize("hides", [False, True])
+def test_ridges_are_those_of_the_definition_and_what_is_hidden_counts_for_nothing(hides: bool) -> None:
     voxels = haze(1)
-    found = ridge_points(voxels, RADIUS, SHARE, CONTRACT)
-    assert 50 < len(found) < 0.8 * len(voxels)
-    np.testing.assert_allclose(
-        found, naive.ridge_points(voxels.means(), voxels.weights(), VOXEL, RADIUS, SHARE, CONTRACT), atol=1e-12
-    )
-
-
-def test_what_is_left_out_counts_for_nothing() -> None:
-    voxels = haze(2)
     mean, weight = voxels.means(), voxels.weights()
-    out = mean[:, 0] > 0
-    found = ridge_points(voxels, RADIUS, SHARE, CONTRACT, out)
-    expected = naive.ridge_points(mean, np.where(out, 0.0, weight), VOXEL, RADIUS, SHARE, CONTRACT)
+    hidden = hides & (mean[:, 0] > 0)
+    found = ridge_points(voxels, RADIUS, SHARE, CONTRACT, hidden)
+    expected = naive.ridge_points(mean, np.where(hidden, 0.0, weight), VOXEL, RADIUS, SHARE, CONTRACT)
+    assert 50 < len(found) < 0.8 * len(voxels)
     np.testing.assert_allclose(found, expected, atol=1e-12)
     np.testing.assert_array_equal(voxels.weights(), weight)

@@ -49,7 +49,7 @@ def test_the_nearest_of_two_bars_is_taken():
     assert associate(new, Segments.empty(), NARROW).tolist() == [-1, -1]
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=25, deadline=None)
 @given(SEEDS)
 def test_distances_are_those_of_the_definition(seed):
     rng = np.random.default_rng(seed)
@@ -108,16 +108,17 @@ def test_the_order_of_frames_changes_ends_by_the_noise_and_nothing_else(seed, or
 
 
 @settings(max_examples=40, deadline=None)
-@given(SEEDS)
-def test_a_moved_map_is_the_map_of_moved_segments(seed):
-    rng = np.random.default_rng(seed)
-    frames, T = [frame(rng) for _ in range(6)], rigid(seed)
+@given(SEEDS, st.sampled_from([(10.0, 1e-9), (5e6, 1e-7)]))
+def test_a_moved_map_is_the_map_of_moved_segments_also_in_the_coordinates_of_a_survey(seed, reach):
+    rng, (reach_m, atol) = np.random.default_rng(seed), reach
+    frames, T = [frame(rng) for _ in range(6)], rigid(seed, reach_m)
     moved, bars = built(each.transformed(T) for each in frames), built(frames)
     assert len(moved) == len(bars)
     expected = bars.segments.transformed(T)
-    np.testing.assert_allclose(moved.segments.middle, expected.middle, atol=1e-9)
-    np.testing.assert_allclose(np.abs((moved.segments.direction * expected.direction).sum(axis=1)), 1, atol=1e-9)
-    np.testing.assert_allclose(moved.segments.length, expected.length, atol=1e-9)
+    np.testing.assert_allclose(moved.segments.middle, expected.middle, atol=atol)
+    np.testing.assert_allclose(np.abs((moved.segments.direction * expected.direction).sum(axis=1)), 1, atol=atol)
+    np.testing.assert_allclose(moved.segments.length, expected.length, atol=atol)
+    np.testing.assert_allclose(moved.segments.radius, expected.radius, atol=atol)
 
 
 def test_segments_handed_out_do_not_change_later():
@@ -159,11 +160,3 @@ def test_an_empty_map_and_one_of_bars_seen_once_give_an_empty_structure_that_say
     bars.insert(bars_of(LEG))
     assert len(structure_of(bars)) == 0
     assert structure_of(bars).reason == "none of 1 bars was seen 5 times"
-
-
-def test_a_map_in_the_coordinates_of_a_survey_is_that_near_zero_moved_there():
-    rng, far = np.random.default_rng(6), np.array([299_100.0, 5_801_400.0, 120.0])
-    frames = [frame(rng) for _ in range(12)]
-    near, there = built(frames).segments, built([each.moved(far) for each in frames]).segments.moved(-far)
-    for one, other in ((near.start, there.start), (near.end, there.end), (near.radius, there.radius)):
-        assert other == pytest.approx(one, abs=1e-7)

@@ -6,6 +6,7 @@ from hypothesis import strategies as st
 from steelnb.core.types import Segments
 from steelnb.hough.whole_structure.search import segment_structure, within
 from steelnb.points import voxel_grid
+from tests.hough.made import ends_off_m
 
 
 def frame(seed, noise_m=0.01):
@@ -25,12 +26,7 @@ def test_the_bars_of_a_frame_are_found_in_any_pose_and_order_of_points(seed):
     points, edges = frame(seed)
     found = segment_structure(points, 0.08)
     assert len(found) == 12
-    for start, end in edges:
-        end_error = np.minimum(
-            np.maximum(np.linalg.norm(found.start - start, axis=1), np.linalg.norm(found.end - end, axis=1)),
-            np.maximum(np.linalg.norm(found.end - start, axis=1), np.linalg.norm(found.start - end, axis=1)),
-        )
-        assert end_error.min() < 0.25
+    assert ends_off_m(found, edges).max() < 0.25
     assert within(points, found, 0.08).mean() > 0.97
     again = segment_structure(points[np.random.default_rng(seed).permutation(len(points))], 0.08)
     np.testing.assert_allclose(again.start, found.start, atol=1e-9)

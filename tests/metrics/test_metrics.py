@@ -35,12 +35,9 @@ def test_trajectory_errors_are_not_aligned_and_use_the_stamps_of_the_estimate():
     T = truth.T_world_drone[::2].copy()
     T[:, 1, 3] += offset
     estimate = Trajectory(truth.stamp_s[::2], T)
-    score = score_trajectory(estimate, truth)
-    assert score["ate_rmse_m"] == pytest.approx(np.sqrt((offset**2).mean()))
-    assert score["error_mean_m"] == pytest.approx(offset.mean())
-    assert score["error_max_m"] == pytest.approx(0.5)
-    assert score["error_final_m"] == pytest.approx(0.5)
-    assert score["rpe_rmse_m"] == pytest.approx(2 * 0.01)  # two scans of 0.4 s, 1 cm each
+    expected = {"ate_rmse_m": np.sqrt((offset**2).mean()), "error_mean_m": offset.mean(), "error_max_m": 0.5}
+    expected |= {"error_final_m": 0.5, "rpe_rmse_m": 2 * 0.01}  # two scans of 0.4 s, 1 cm each
+    assert score_trajectory(estimate, truth) == pytest.approx(expected)
     np.testing.assert_allclose(position_error_m(estimate, truth), offset)
 
 
@@ -58,17 +55,9 @@ def test_trajectory_errors_equal_evo():
     ape.process_data(pair)
     rpe.process_data(pair)
     score = score_trajectory(Trajectory(truth.stamp_s, T), truth)
-    kinds = metrics.StatisticsType
-    assert score["ate_rmse_m"] == pytest.approx(ape.get_statistic(kinds.rmse), rel=1e-12)
-    assert score["error_mean_m"] == pytest.approx(ape.get_statistic(kinds.mean), rel=1e-12)
-    assert score["error_max_m"] == pytest.approx(ape.get_statistic(kinds.max), rel=1e-12)
-    assert score["rpe_rmse_m"] == pytest.approx(rpe.get_statistic(kinds.rmse), rel=1e-12)
-
-
-def test_an_estimate_at_other_stamps_than_the_truth_is_refused():
-    estimate = Trajectory(np.array([0.0, 0.31]), line(2).T_world_drone)
-    with pytest.raises(InputError, match="stamps"):
-        score_trajectory(estimate, line(10))
+    theirs = {f"error_{name}_m": ape.get_all_statistics()[name] for name in ("mean", "max")}
+    theirs |= {"ate_rmse_m": ape.get_all_statistics()["rmse"], "rpe_rmse_m": rpe.get_all_statistics()["rmse"]}
+    assert {name: score[name] for name in theirs} == pytest.approx(theirs, rel=1e-12)
 
 
 AXES = np.array([([0, 0, 0], [0, 0, 4]), ([2, 0, 0], [2, 0, 4]), ([0, 0, 2], [2, 0, 2])], dtype=float)
@@ -109,7 +98,7 @@ def test_a_segment_between_two_members_belongs_to_the_nearer():
 TOWER = build_tower()
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=8, deadline=None)
 @given(st.integers(0, 10_000))
 def test_the_true_members_score_perfectly_in_any_frame_and_orientation(seed):
     T = rigid(seed)
@@ -230,10 +219,11 @@ def test_the_relative_error_is_that_of_one_second_at_any_rate(stamp_s, epoch_s):
     assert score_trajectory(path(0.31), path(0.30))["rpe_rmse_m"] == pytest.approx(0.010)
 
 
-@pytest.mark.parametrize("off_s", [0.05, -0.05, 1.0, 3600.0, 2e-6])
-def test_stamps_of_another_clock_are_refused_at_the_epoch_of_recordings(off_s):
+@pytest.mark.parametrize("epoch_s", [0.0, 1.7e9])
+@pytest.mark.parametrize("off_s", [-0.05, 3600.0, 2e-6])
+def test_stamps_of_another_clock_are_refused(off_s, epoch_s):
     path = line(40)
-    truth = Trajectory(path.stamp_s + 1.7e9, path.T_world_drone)
+    truth = Trajectory(path.stamp_s + epoch_s, path.T_world_drone)
     with pytest.raises(InputError, match="no pose at"):
         score_trajectory(Trajectory(truth.stamp_s + off_s, path.T_world_drone), truth)
 

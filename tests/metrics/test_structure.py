@@ -43,15 +43,6 @@ def test_offsets_ends_and_joint_errors_equal_the_applied_ones():
     assert metrics["joint_error_median_m"] == pytest.approx(0.04)
 
 
-def test_angles_beyond_five_degrees_do_not_match():
-    for degrees, right in ((4.5, 1.0), (5.5, 0.5)):
-        tilted = AXES.copy()
-        tilted[1] = [1.5, 0, 2] + 1.5 * np.outer([-1, 1], [np.cos(np.radians(degrees)), 0, np.sin(np.radians(degrees))])
-        metrics = score_structure(made(tilted), truth()).metrics
-        assert metrics["precision"] == right
-        assert metrics["angle_p90_deg"] == pytest.approx(0.9 * degrees if right == 1.0 else 0.0, abs=1e-5)
-
-
 @settings(max_examples=25, deadline=None)
 @given(st.integers(0, 10_000))
 def test_the_score_does_not_depend_on_the_order_or_orientation_of_bars_and_joints(seed):
@@ -99,7 +90,8 @@ def test_an_empty_structure_has_recall_zero_and_no_precision():
 
 def test_the_centroid_of_a_thin_angle_is_a_quarter_of_its_flange_from_either_face():
     tower = build_tower(TowerSettings(sections_m={"leg": (0.1, 0.0001)}))
-    seen = Visibility(tuple(np.full(int(length / SLICE_M) + 1, 9) for length in lengths(tower)))
+    lengths_m = np.linalg.norm(tower.axes[:, 1] - tower.axes[:, 0], axis=1)
+    seen = Visibility(tuple(np.full(int(length_m / SLICE_M) + 1, 9) for length_m in lengths_m))
     found = reference(tower, seen)
     leg = next(m for m, member in enumerate(tower.members) if member.kind == "leg")
     shift_m = np.linalg.norm(found.axes[leg] - tower.axes[leg], axis=1)
@@ -118,7 +110,3 @@ def test_members_in_line_are_one_bar_of_the_reference_whichever_way_they_run():
     assert found.observed.tolist() == [k == long for k in range(3)]
     assert found.slices[long].sum() == 20
     assert len(found.slices[long]) == 40
-
-
-def lengths(tower):
-    return np.linalg.norm(tower.axes[:, 1] - tower.axes[:, 0], axis=1)

@@ -1,7 +1,5 @@
 """Ranges corrected by a measured scale and offset, and the measurement in front of a wall."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -54,7 +52,7 @@ def test_without_a_calibration_the_flight_is_the_same_object_and_zeros_stay_no_r
     assert points[2, 0] == pytest.approx(1.99)
 
 
-@pytest.mark.parametrize("value", [0.0, float("nan"), -1.0, 2.0])
+@pytest.mark.parametrize("value", [float("nan"), -1.0, 2.0])
 def test_an_impossible_scale_is_refused_in_one_line(value):
     with pytest.raises(InputError, match="range_scale") as caught:
         TofSettings(range_scale=value)
@@ -116,4 +114,4 @@ def test_a_told_calibration_changes_estimates_but_not_the_flight():
     assert experiment.world(told.replace(tof=told.tof.uncalibrated())) == experiment.world(settings)
     one, other = (experiment.estimate(each, flown, truth).corrected for each in (settings, told))
     assert not np.array_equal(one.T_world_drone, other.T_world_drone)
-    assert replace(flown, range_sigmas=(0.0, 0.0)).range_sigmas == flown.range_sigmas
+    assert flown.range_sigmas == (0.0, 0.0)

@@ -30,7 +30,7 @@ def test_covariances_equal_their_slow_twin(name, k):
     np.testing.assert_array_equal(neighbour_covariances(tree.point, k, tree), result[tree.order])
 
 
-@pytest.mark.parametrize("k", [5, 7, 20, 30])
+@pytest.mark.parametrize("k", [5, 20])
 def test_ties_and_duplicates(k):
     # On a grid many points are at equal distance. The trace is Σd²/k − |mean|², however ties are broken.
     grid = np.stack(np.meshgrid(*[np.arange(7.0)] * 3), axis=-1).reshape(-1, 3)

@@ -5,17 +5,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from steelnb.points.surfaces import Surfaces
-from tests.lattice import lattice, scanned
+from tests.lattice import lattice, scanned, sheet
 
 CELL_M = 0.1
-
-
-def sheet(width: float, height: float, noise_m: float = 0.005, per_m2: int = 2500, seed: int = 0) -> np.ndarray:
-    """Points on a rectangle at z = 0 from the origin along x and y."""
-    rng = np.random.default_rng(seed)
-    count = int(per_m2 * width * height)
-    flat = np.column_stack([rng.uniform(0, width, count), rng.uniform(0, height, count), np.zeros(count)])
-    return flat + rng.normal(scale=noise_m, size=flat.shape)
 
 
 @pytest.mark.parametrize("turn_deg", [0.0, 20.0, 90.0])

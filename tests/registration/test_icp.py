@@ -16,32 +16,20 @@ def test_images_and_invalid_returns_are_accepted():
     assert result.inliers == 1198
 
 
-def test_clouds_without_overlap_do_not_converge():
-    points = corner(500, 5)
-    result = register(points, points + 100.0, "gicp", max_correspondence_m=0.5)
-    assert not result.converged
-    assert (result.reason, result.inliers) == ("too few pairs", 0)
-    np.testing.assert_array_equal(result.T_target_source, np.eye(4))
-
-
 @pytest.mark.parametrize(
     ("change", "message"),
     [
         ({"source": np.zeros((0, 3))}, "source: no finite point"),
         ({"target": np.full((4, 4, 3), np.nan)}, "target: no finite point"),
         ({"target": VoxelMap(0.1)}, "target: "),
-        ({"source": np.zeros((7, 2))}, r"source: an array of shape \(7, 2\)"),
         ({"source": np.eye(3)[:2], "method": "icp"}, "source: 2 finite .* at least 3"),
         ({"source": np.ones((5, 3)), "method": "plane"}, "source: 5 finite .* at least 6"),
         ({"target": np.ones((3, 3))}, "target: 3 finite points, expected at least 4"),
         ({"T_init": np.eye(3)}, r"T_init: an array of shape \(3, 3\)"),
-        ({"method": "icpp"}, "method = 'icpp': expected one of 'icp'"),
         ({"dof": ""}, "dof = ''"),
         ({"robust_scale": 0.0}, "robust_scale = 0.0"),
-        ({"max_correspondence_m": -1.0}, "max_correspondence_m = -1.0: expected a positive"),
-        ({"translation_epsilon_m": np.nan}, "translation_epsilon_m = nan"),
         ({"max_correspondence_m": np.inf}, "max_correspondence_m = inf"),
-        ({"iterations_max": 0}, "iterations_max = 0"),
+        ({"translation_epsilon_m": np.nan}, "translation_epsilon_m = nan"),
     ],
 )
 def test_invalid_input_is_named_in_the_error(change, message):

@@ -4,9 +4,7 @@ import numpy as np
 import open3d as o3d
 import pytest
 
-from steelnb.points.covariances import neighbour_covariances
 from steelnb.registration import register
-from tests import naive
 from tests.registration.scenes import corner, motion, pose_error, transformed
 
 T_START = motion(2, 0.06, seed=4)
@@ -56,10 +54,3 @@ def test_open3d_finds_the_same_pose(method):
     ours = register(here, there, method, T_init=T_START, max_correspondence_m=0.5, iterations_max=200, **TIGHT)
     assert np.less(pose_error(ours.T_target_source, answer.transformation), (1e-3, 0.02)).all()
     assert ours.inliers == pytest.approx(answer.fitness * len(here), abs=3)
-
-
-def test_open3d_computes_the_same_covariances():
-    points = corner(500, 1)
-    cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(points))
-    cloud.estimate_covariances(o3d.geometry.KDTreeSearchParamKNN(20))
-    np.testing.assert_allclose(naive.full(neighbour_covariances(points, 20)), np.asarray(cloud.covariances), atol=1e-12)

@@ -1,4 +1,4 @@
-"""Bars from lines or groups of points: cut, merge, filter and refit. Shared by all methods of `peers`."""
+"""Bars from lines or groups of points: cut, merge, filter and refit. Shared by all methods."""
 
 from collections.abc import Callable
 
