@@ -6,7 +6,6 @@ import pytest
 from steelnb.core.errors import InputError
 from steelnb.core.types import Trajectory
 from steelnb.io import read_flight, write_tum
-from steelnb.io.frames import T_OPTICAL_SENSOR
 from steelnb.io.messages import CLOUD, ODOMETRY, POSE_COVARIANCE, POSE_STAMPED, TRANSFORM
 from tests.io.samples import KINDS, POINTS, STAMPS, Bagged, T_of, poses
 
@@ -122,14 +121,6 @@ def test_poses_are_read_from_tf_if_there_is_no_topic(bag):
     assert flight.facts["poses"] == "tf odom → base_link"
 
 
-def test_optical_axes_are_converted_to_those_of_the_drone(bag):
-    path = bag.clouds(frame="tof_optical_frame").odometry().tf("base_link", "tof_optical_frame", MOUNT).write()
-    flight = read_flight(path)
-    points = flight.scans[0].points
-    np.testing.assert_array_equal(points, np.stack([POINTS[..., 2], -POINTS[..., 0], -POINTS[..., 1]], axis=-1))
-    np.testing.assert_allclose(flight.T_drone_sensor, MOUNT @ T_OPTICAL_SENSOR, atol=1e-12)
-
-
 @of_all_kinds
 @pytest.mark.parametrize(("encoding", "kind", "unit"), [("16UC1", "<u2", 1000), ("32FC1", "<f4", 1)])
 def test_depth_images_are_scans_if_there_are_no_clouds(bag, encoding, kind, unit):
@@ -216,14 +207,6 @@ def test_invalid_scans_have_a_fault_and_keep_their_place(bag):
     np.testing.assert_array_equal(scans[4].points, POINTS + 4)
 
 
-def test_points_at_the_sensor_are_no_return(bag):
-    points = POINTS.copy()
-    points[1, 2] = 0.0
-    scan = read_flight(bag.clouds(points=points).odometry().write()).scans[0]
-    assert np.isnan(scan.points[1, 2]).all()
-    assert np.isfinite(scan.points).sum() == points.size - 3
-
-
 @pytest.mark.parametrize("by_tf", [True, False])
 def test_poses_with_z_down_are_turned(bag, by_tf):
     bag.clouds().tf("base_link_frd", "tof", MOUNT)
@@ -263,14 +246,6 @@ def test_a_message_of_a_database_without_a_time_is_left_out(tmp_path):
     with sqlite3.connect(path) as database:
         database.execute("UPDATE messages SET timestamp = 'abc' WHERE id = 3")
     assert len(read_flight(path)) >= 3
-
-
-@pytest.mark.parametrize(
-    ("mount", "says"), [(np.eye(3), r": .*\(3, 3\)"), ("x", " = 'x': expected an array"), (2 * np.eye(4), ": last row")]
-)
-def test_a_mount_that_is_none_is_refused(bag, mount, says):
-    with pytest.raises(InputError, match=f"T_drone_sensor{says}"):
-        read_flight(bag.clouds().odometry().write(), T_drone_sensor=mount)
 
 
 @pytest.mark.parametrize("kind", ["sensor_msgs/msg/PointCloud2", "sensor_msgs/msg/Image"])

@@ -129,13 +129,13 @@ def test_integers_are_millimetres_and_their_largest_value_is_no_return(kind):
     assert "taken as millimetres" in cloud_layout(message).notes[0]
 
 
-def test_points_farther_than_any_sensor_sees_are_no_returns_or_a_fault():
+def test_points_at_the_sensor_or_farther_than_any_sees_are_no_returns_or_a_fault():
     few, most = POINTS.copy(), POINTS * 1e6
-    few[0, 0, 1] = np.finfo(np.float32).max
+    few[0, 0, 1], few[1, 2] = np.finfo(np.float32).max, 0.0
     scans = Scans(lambda _: iter([lambda: few, lambda: most]), np.arange(2), np.arange(2.0))
     first, second = scans
-    assert np.isnan(first.points[0, 0]).all()
-    assert np.isfinite(first.points).sum() == POINTS.size - 3
+    assert np.isnan(first.points[[0, 1], [0, 2]]).all()
+    assert np.isfinite(first.points).sum() == POINTS.size - 6
     assert second.fault == "unreadable scan: 20 points beyond 1e+06 m"
 
 

@@ -6,6 +6,7 @@ import pytest
 from steelnb.core.errors import InputError
 from steelnb.core.types import Trajectory
 from steelnb.io import read_flight, write_tum
+from steelnb.io.frames import T_OPTICAL_SENSOR
 from steelnb.io.messages import ODOMETRY, POSE_STAMPED
 from tests.io.samples import POINTS, STAMPS, Bagged, T_of, poses
 
@@ -236,8 +237,10 @@ TURNED = POINTS[..., [2, 0, 1]] * [1, -1, -1]
     ],
 )  # fmt: skip
 def test_optical_is_one_of_the_last_words_of_a_name(bag, frame, points):
-    scan = next(iter(read_flight(bag.clouds(frame=frame).odometry().write()).scans))
-    np.testing.assert_allclose(scan.points, points)
+    flight = read_flight(bag.clouds(frame=frame).odometry().tf("base_link", frame, MOUNT).write())
+    np.testing.assert_allclose(flight.scans[0].points, points)
+    turn = T_OPTICAL_SENSOR if points is TURNED else np.eye(4)
+    np.testing.assert_allclose(flight.T_drone_sensor, MOUNT @ turn, atol=1e-12)
 
 
 @pytest.mark.parametrize("frame", ["camera_link", "iris/depth_camera"])
