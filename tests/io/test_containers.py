@@ -168,14 +168,6 @@ def test_an_unmerged_journal_is_told(tmp_path):
         (tmp_path / name).unlink()
 
 
-def test_the_type_of_a_named_topic_is_told(tmp_path):
-    path = Bagged(tmp_path / "a.mcap").clouds().odometry().write()
-    with pytest.raises(InputError, match=r"/odom is Odometry; expected one topic of clouds .* among /points"):
-        read_flight(path, scans="/odom")
-    with pytest.raises(InputError, match=r"/points is PointCloud2; expected one topic of poses, .* /odom \(Odometry\)"):
-        read_flight(path, poses="/points")
-
-
 def test_types_may_be_named_as_in_ros_1(tmp_path):
     assert_whole(read_flight(mcap(tmp_path / "hand.mcap", short_names=True)))
 

@@ -9,9 +9,9 @@ import pytest
 
 from steelnb import cli
 from steelnb.core.errors import InputError
-from steelnb.core.types import Segments
 from steelnb.hough.lines import default_dx
 from steelnb.hough.whole_structure.search import segment_structure, within
+from steelnb.metrics import score_segments
 from steelnb.points import voxel_grid
 from steelnb.recording.segment_cloud import SegmentReport, segment_file
 from tests.lattice import lattice, scanned, thinned
@@ -26,25 +26,6 @@ def save_cloud(path: Path, points: np.ndarray) -> Path:
 
 
 LINE = np.linspace([0.0, 0, 0], [30.0, 0, 0], 300)
-
-
-def score(found: Segments, bars: np.ndarray, tolerance: float) -> tuple[float, float]:
-    """Shares by length: of the found segments that are on a bar within 10°, and of the bars that were found."""
-    axis = bars[:, 1] - bars[:, 0]
-    length = np.linalg.norm(axis, axis=1)
-    axis = axis / length[:, None]
-    right, seen = 0.0, np.zeros((len(bars), 50), dtype=bool)
-    for start, end, direction, extent in zip(found.start, found.end, found.direction, found.length, strict=True):
-        away = start + np.linspace(0, 1, 60)[:, None, None] * (end - start) - bars[:, 0]
-        along = np.einsum("skc,kc->sk", away, axis)
-        across = np.linalg.norm(away - along[..., None] * axis, axis=2)
-        on = (across < tolerance) & (along > -tolerance) & (along < length + tolerance)
-        on &= np.abs(axis @ direction) > np.cos(np.radians(10))
-        right += extent * on.any(axis=1).mean()
-        for k in np.flatnonzero(on.any(axis=0)):
-            place = (np.arange(50) + 0.5) / 50 * length[k]
-            seen[k] |= (place >= along[on[:, k], k].min()) & (place <= along[on[:, k], k].max())
-    return right / max(found.length.sum(), 1e-9), float((seen.mean(axis=1) * length).sum() / length.sum())
 
 
 BARS = lattice(8, 4, 2, 3)
@@ -73,10 +54,10 @@ def test_bars_of_a_coarse_survey_are_found_and_its_faces_without_bars_hold_few()
     survey = thinned(scanned(lattice(), 120, 0.1, 0.08), 0.17)
     dx = default_dx(survey)
     found = segment_structure(voxel_grid(survey, dx / np.sqrt(3)), dx)
-    right, seen = score(found, lattice(), 0.2)
+    score = score_segments(found, lattice())
     assert 0.2 < dx < 0.3
-    assert right > 0.9
-    assert seen > 0.8
+    assert min(score.recall, score.precision) > 0.95
+    assert score.offset_m.mean() < 0.05
     assert within(survey, found, dx).mean() > 0.75
     jittered = survey + np.random.default_rng(1).uniform(-1, 1, survey.shape)
     assert within(jittered, segment_structure(voxel_grid(jittered, dx / np.sqrt(3)), dx), dx).mean() < 0.08
@@ -84,9 +65,10 @@ def test_bars_of_a_coarse_survey_are_found_and_its_faces_without_bars_hold_few()
 
 def test_the_bars_of_a_near_scan_are_found_and_written(report: SegmentReport, folder: Path) -> None:
     bars = report.segments
-    right, seen = score(bars, BARS, 0.05)
-    assert right > 0.97
-    assert seen > 0.92
+    score = score_segments(bars, BARS)
+    assert score.recall > 0.9
+    assert score.precision > 0.95
+    assert score.offset_m.max() < 0.02
     assert 0.05 < report.dx_m < 0.12
     assert report.explained > 0.9
     assert {path.name for path in folder.iterdir()} == FILES
