@@ -223,6 +223,7 @@ def test_words_of_frames_tell_axes(bag, frame, body):
     flight = read_flight(bag.clouds(frame="").odometry(frame=frame, child=body).write())
     right = flip if body != "base_link" else np.eye(4)
     np.testing.assert_allclose(flight.prior.T_world_drone, flip @ DRONE.T_world_drone @ right, atol=1e-9)
+    assert f"z points down in {frame}" in flight.facts["notes"]
 
 
 TURNED = POINTS[..., [2, 0, 1]] * [1, -1, -1]

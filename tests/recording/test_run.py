@@ -35,6 +35,12 @@ def simulated():
     return settings, replace(flight, prior=Trajectory(flight.prior.stamp_s, T)), truth
 
 
+@pytest.fixture
+def undrawn(monkeypatch):
+    """Runs without pictures, which take as long as the rest."""
+    monkeypatch.setattr("steelnb.recording.run.draw", lambda *_: None)
+
+
 @pytest.fixture(scope="module")
 def report(simulated, tmp_path_factory):
     _, flight, truth = simulated
@@ -114,7 +120,7 @@ def test_a_run_writes_what_it_says(report):
     assert set(report.times) == set(TIMES)
 
 
-def test_a_smoothed_run_tells_the_uncertainty_of_its_bars(simulated, tmp_path):
+def test_a_smoothed_run_tells_the_uncertainty_of_its_bars(simulated, undrawn, tmp_path):
     _, flight, truth = simulated
     settings = recording_settings(overrides={"smooth": True})
     found = run_recording(replace(flight.first(20), facts={"mount": ""}), tmp_path, *settings, truth.trajectory)
@@ -124,7 +130,7 @@ def test_a_smoothed_run_tells_the_uncertainty_of_its_bars(simulated, tmp_path):
     assert found.numbers["corrected_ate_rmse_m"] < 0.5 * found.numbers["prior_ate_rmse_m"]
 
 
-def test_poses_of_a_map_come_back_in_its_coordinates(simulated, report, tmp_path):
+def test_poses_of_a_map_come_back_in_its_coordinates(simulated, report, undrawn, tmp_path):
     _, flight, truth = simulated
     far = np.array([299_100.0, 2_801_400.0, 0.0])
     moved = replace(flight, prior=flight.prior.moved(far), facts={"mount": ""})

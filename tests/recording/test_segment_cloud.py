@@ -2,6 +2,7 @@
 
 import os
 from pathlib import Path
+from unittest.mock import MagicMock
 
 import numpy as np
 import pandas as pd
@@ -79,6 +80,12 @@ def test_the_bars_of_a_near_scan_are_found_and_written(report: SegmentReport, fo
     np.testing.assert_array_equal(table["count"], bars.count)
 
 
+@pytest.fixture
+def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("steelnb.recording.segment_cloud.figure_bars", MagicMock())
+
+
+@pytest.mark.usefixtures("undrawn")
 def test_large_coordinates_come_back_to_the_millimetre(saved: Path, report: SegmentReport, tmp_path: Path) -> None:
     far_path = tmp_path / "far.csv"
     np.savetxt(far_path, np.loadtxt(saved) + UTM, fmt="%.3f", delimiter=",")
@@ -88,6 +95,7 @@ def test_large_coordinates_come_back_to_the_millimetre(saved: Path, report: Segm
     np.testing.assert_allclose(table[["end_x_m", "end_y_m", "end_z_m"]] - UTM, report.segments.end, atol=1e-3)
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_the_settings_are_used(saved: Path, tmp_path: Path) -> None:
     found = segment_file(saved, tmp_path / "out", voxel_m=0.05, dx_m=0.1, min_votes=20)
     assert (found.voxel_m, found.dx_m) == (0.05, 0.1)
