@@ -17,7 +17,7 @@ from steelnb.io.clouds import read_points
 from tests.io.samples import poses
 from tests.io.test_clouds import save
 
-TRIALS = int(os.environ.get("STEELNB_FUZZ", "60"))
+TRIALS = int(os.environ.get("STEELNB_FUZZ", "100"))
 """Damaged files of each format."""
 MEMORY_MAX = 30e6
 """For files of ten kilobytes."""
