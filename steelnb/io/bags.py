@@ -17,10 +17,9 @@ from steelnb.io import messages as ros
 from steelnb.io.clocks import taken_together
 from steelnb.io.containers import Container, LostIndexError
 from steelnb.io.frames import Frames, drone_axes, sensor_frames, world_axes
-from steelnb.io.headers import Headers, frame_name
+from steelnb.io.headers import Headers, frame_name, whole_path
 from steelnb.io.inertial import readings_of
 from steelnb.io.opened import Opened
-from steelnb.io.paths import whole_path
 from steelnb.io.scanning import Raw
 from steelnb.io.topics import PoseSource, camera_topic, pose_source, scan_topic
 from steelnb.io.trajectories import check_units, read_trajectory, trajectory_of
@@ -30,6 +29,9 @@ LOOKED_AT = 10
 """Number of messages that tell what an IMU measures."""
 BURST_S = 0.1
 """Of the poses within this time, the first tells the unit."""
+
+Cameras = list[tuple[float, ros.CameraInfo]]
+"""The cameras of depth images, each with the stamp from which it holds."""
 
 
 class Clock(NamedTuple):
@@ -154,8 +156,8 @@ class _Bag:
         more = f" and {len(joined) - len(rows)} of others" if len(joined) > len(rows) else ""
         return found, frame_name(message.header.frame_id), f"{topic} (the longest Path of it, {len(rows)} poses{more})"
 
-    def _cameras(self, topic: str) -> list[tuple[float, ros.CameraInfo]]:
-        """The cameras of depth images, each from its stamp on, and notes on what is left out or contradicts."""
+    def _cameras(self, topic: str) -> Cameras:
+        """The cameras of depth images, and notes on what is left out or contradicts."""
         names = (topic, *self.headers.cameras)
         cameras = self.headers.cameras[camera_topic(self.bag, topic, {n: self.headers.frame_of[n][0] for n in names})]
         if "rect" in topic.rpartition("/")[2]:
@@ -205,12 +207,7 @@ class _Bag:
         return found
 
     def _walk(
-        self,
-        topic: str,
-        cameras: list[tuple[float, ros.CameraInfo]],
-        frames: Frames,
-        groups: list[list[int]],
-        number: IntArray,
+        self, topic: str, cameras: Cameras, frames: Frames, groups: list[list[int]], number: IntArray
     ) -> Iterator[Callable[[], Array]]:
         """Decoders of the scans with these increasing numbers; ``groups``: numbers of the messages of each."""
         selected = [groups[k] for k in number.tolist()]

@@ -1,10 +1,10 @@
 """Stamps that a clock got wrong: found before anything is ordered by them."""
 
 from bisect import bisect_left, bisect_right
-from collections import Counter
 from collections.abc import Collection, Sequence
 
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
 
 from steelnb.core.types import Array, IntArray
@@ -77,16 +77,9 @@ def taken_together(
 def _are_parts(stamp_s: Array, log_s: Array, frames: Sequence[str], repeated: Collection[int]) -> bool:
     """Whether messages of one frame and stamp are parts of a scan: most stamps have several, and these are recorded
     much nearer to each other than to the next stamp's, unlike scans by a clock that is coarse or stands still."""
-    counts, latest = Counter[tuple[str, float]](), dict[str, int]()
-    within, between = list[float](), list[float]()
-    for k, (stamp, frame) in enumerate(zip(stamp_s.tolist(), frames, strict=True)):
-        if k in repeated or stamp != stamp:
-            continue
-        counts[frame, stamp] += 1
-        if frame in latest:
-            gaps = within if stamp == stamp_s[latest[frame]] else between
-            gaps.append(abs(log_s[k] - log_s[latest[frame]]))
-        latest[frame] = k
-    if not within or not between or np.median([*counts.values()]) < 2:
+    table = pd.DataFrame({"frame": frames, "stamp": stamp_s, "log": log_s}).drop(index=list(repeated)).dropna()
+    step = table.groupby("frame").diff()
+    within, between = step["log"][step["stamp"] == 0].abs(), step["log"][step["stamp"].abs() > 0].abs()
+    if within.empty or between.empty or table.groupby(["frame", "stamp"]).size().median() < 2:
         return False
     return bool(np.quantile(within, 0.9) < PARTS_SHARE * np.median(between))

@@ -2,6 +2,7 @@
 
 from array import array
 from collections import Counter, defaultdict
+from collections.abc import Sequence
 from contextlib import suppress
 from typing import Any
 
@@ -16,6 +17,9 @@ from steelnb.io.layouts import cloud_layout, depth_layout
 from steelnb.io.scanning import Raw
 from steelnb.io.trajectories import trajectory_of
 from steelnb.io.transforms import STILL, Tree
+
+SAME_PLACE_M = 0.05
+"""Largest distance of poses of one stamp in messages of one path."""
 
 
 class Headers:
@@ -170,3 +174,14 @@ class Headers:
 def frame_name(name: str) -> str:
     """Name of a frame; ROS 1 allowed a slash before it."""
     return name.lstrip("/")
+
+
+def whole_path(earlier: Sequence[Array], last: Array) -> Array:
+    """Rows ``(N, 8)`` of a path of which each message has only the latest poses, rising by stamp: ``last (M, 8)``, and
+    what ``earlier`` ones had before, back to the first that shares no stamp with those after it or has other places."""
+    for rows in reversed(earlier):
+        _, ours, theirs = np.intersect1d(last[:, 0], rows[:, 0], return_indices=True)
+        if not len(ours) or np.abs(last[ours, 1:4] - rows[theirs, 1:4]).max() > SAME_PLACE_M:
+            break
+        last = np.concatenate([last, rows[~np.isin(rows[:, 0], last[:, 0])]])
+    return last[np.argsort(last[:, 0], kind="stable")] if len(earlier) else last

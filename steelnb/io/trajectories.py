@@ -214,15 +214,9 @@ def trajectory_of(path: Path | str, rows: Array, skipped: Counter[str]) -> Traje
         typical = float(np.median(length[chosen]))
         raise InputError(f"{path}: quaternions of length {typical:.3g}; expected {', '.join(QUATERNION)} of length 1")
     largest = np.abs(rows[chosen, 4:]).max(axis=1, keepdims=True)  # results have the rounding of this division
-    T = pose_matrices(np.column_stack([rows[chosen, 1:4], rows[chosen, 4:] / largest]))
+    T = np.tile(np.eye(4), (len(chosen), 1, 1))
+    T[:, :3, :3], T[:, :3, 3] = Rotation.from_quat(rows[chosen, 4:] / largest).as_matrix(), rows[chosen, 1:4]
     return Trajectory(rows[chosen, 0], T)
-
-
-def pose_matrices(rows: Array) -> Array:
-    """Transforms ``(N, 4, 4)`` from positions and quaternions xyzw ``(N, 7)``."""
-    T = np.tile(np.eye(4), (len(rows), 1, 1))
-    T[:, :3, :3], T[:, :3, 3] = Rotation.from_quat(rows[:, 3:]).as_matrix(), rows[:, :3]
-    return T
 
 
 def interpolate(trajectory: Trajectory, stamp_s: Array) -> tuple[Array, NDArray[np.bool_]]:

@@ -1,7 +1,7 @@
 """The tree of frames of a recording, from tf_static and tf: relations of frames over time, and the drone's frames."""
 
-from collections import defaultdict, deque
-from collections.abc import Sequence
+from collections import defaultdict
+from collections.abc import Iterable, Sequence
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -66,18 +66,7 @@ class Tree:
 
     def between(self, target: str, source: str) -> list[str] | None:
         """Frames of the shortest way from ``target`` to ``source``, or None if nothing relates them."""
-        near = defaultdict(list)
-        for parent, child in self.edges:
-            near[parent].append(child)
-            near[child].append(parent)
-        ways, queue = {target: [target]}, deque([target])
-        while queue and source not in ways:
-            frame = queue.popleft()
-            for each in near[frame]:
-                if each not in ways:
-                    ways[each] = [*ways[frame], each]
-                    queue.append(each)
-        return ways.get(source)
+        return _ways(target, [step for one, other in self.edges for step in ((one, other), (other, one))]).get(source)
 
     def moves(self, frames: Sequence[str]) -> bool:
         """Whether a transform along a way between frames moves."""
@@ -165,19 +154,25 @@ class Tree:
 
     def above(self, frame: str) -> dict[str, list[str]]:
         """A frame and its ancestors, with the way up to each."""
-        ways, queue = {frame: [frame]}, deque([frame])
-        while queue:
-            child = queue.popleft()
-            for parent, each in self.edges:
-                if each == child and parent not in ways:
-                    ways[parent] = [*ways[child], parent]
-                    queue.append(parent)
-        return ways
+        return _ways(frame, [(child, parent) for parent, child in self.edges])
 
     def _steps(self, frames: Sequence[str]) -> list[tuple[tuple[str, str], bool]]:
         """Parent and child of each transform along a way between frames, and whether the way goes down to the child."""
         pairs = pairwise(frames)
         return [((a, b), True) if (a, b) in self.edges else ((b, a), False) for a, b in pairs]
+
+
+def _ways(start: str, steps: Iterable[tuple[str, str]]) -> dict[str, list[str]]:
+    """Each frame that ``steps`` from frame to frame reach, with the shortest way to it."""
+    near = defaultdict(list)
+    for begin, end in steps:
+        near[begin].append(end)
+    ways, reached = {start: [start]}, [start]
+    for frame in reached:
+        new = [each for each in dict.fromkeys(near[frame]) if each not in ways]
+        ways |= {each: [*ways[frame], each] for each in new}
+        reached += new
+    return ways
 
 
 def _last(frame: str) -> str:

@@ -34,6 +34,8 @@ FLAT_M = 0.1
 EXPLAINED_MIN = 0.5
 """The user is warned if bars explain a smaller share than this of the points that lie on no surface."""
 
+APART = "look like parts of trees or vehicles, as most points around them are on no bar"
+
 
 @dataclass(frozen=True, eq=False)
 class SegmentReport:
@@ -110,27 +112,14 @@ def segment_file(
         *_surface_lines(sorted(found.surfaces, key=lambda surface: -surface.area_m2)),
         f"found     {len(bars)} bars, {bars.length.sum():.1f} m in all, the longest "
         f"{bars.length.max(initial=0):.1f} m, in {time.perf_counter() - began:.1f} s",
-        *_apart_line(found.apart),
+        *([f"left out  {found.apart} lines that {APART}"] if found.apart else []),
         f"points    {100 * bar_share:.0f} % on bars, {100 * on_surfaces:.0f} % on surfaces, "
         f"{100 * (1 - bar_share - on_surfaces):.0f} % on neither",
         f"written   {output}/: segments.csv, segments.png" + (", segments.html" if scene else ""),
     )
-    return SegmentReport(
-        segments,
-        found.freedom,
-        found.width_m,
-        found.voxel_m,
-        dx,
-        explained,
-        on_surfaces,
-        summary,
-        (*_stray_warning(cloud), *_warnings(found, explained, cloud.points, min_votes)),
-    )
-
-
-def _apart_line(count: int) -> list[str]:
-    why = "look like parts of trees or vehicles, as most points around them are on no bar"
-    return [f"left out  {count} lines that {why}"] if count else []
+    warnings = _warnings(found, explained, cloud, min_votes)
+    shares = explained, on_surfaces
+    return SegmentReport(segments, found.freedom, found.width_m, voxel, dx, *shares, summary, warnings)
 
 
 def _surface_lines(surfaces: list[Surface]) -> list[str]:
@@ -147,13 +136,9 @@ def _name(surface: Surface) -> str:
     return f"{kind} around ({', '.join(f'{x:.1f}' for x in surface.centre)}) m"
 
 
-def _stray_warning(cloud: Cloud) -> list[str]:
+def _warnings(found: CloudBars, explained: float, cloud: Cloud, min_votes: int) -> tuple[str, ...]:
     far = f"points more than {STRAY_M / 1e3:g} km from the others, which are left out: {cloud.strays}"
-    return [far] if cloud.strays else []
-
-
-def _warnings(found: CloudBars, explained: float, points: Array, min_votes: int) -> tuple[str, ...]:
-    off = int((found.surface < 0).sum())
+    lines, off, points = [far] if cloud.strays else [], int((found.surface < 0).sum()), cloud.points
     if not len(found.bars):
         left = len(voxel_grid(points, found.voxel_m))
         why = "the points on no surface do not lie along lines"
@@ -165,13 +150,13 @@ def _warnings(found: CloudBars, explained: float, points: Array, min_votes: int)
             why = f"voxels of {found.voxel_m:.3g} m leave {left} of {len(points)} points, and a bar needs {min_votes}"
         elif not np.isnan(found.typical_m):
             why = f"no line stands free in tubes of {found.tube_m:.2g} m; narrower ones (--dx) tell close members apart"
-        return (f"no bar found: {why}",)
-    if explained < EXPLAINED_MIN:
-        return (
+        lines.append(f"no bar found: {why}")
+    elif explained < EXPLAINED_MIN:
+        lines.append(
             f"bars explain {100 * explained:.0f} % of the {off} points that lie on no surface: is this a structure of"
-            " bars, and is the tube as wide as one of them (--dx)?",
+            " bars, and is the tube as wide as one of them (--dx)?"
         )
-    return ()
+    return tuple(lines)
 
 
 def _check_length(name: str, value: float | None, cloud: Cloud) -> None:

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from steelnb.core.types import Array, Flight, Imu, Scan, Trajectory
 from steelnb.io.bag_writer import Messages
 from steelnb.io.containers import typestore
-from steelnb.io.messages import CAMERA, CLOUD, IMAGE, ODOMETRY, PATH, POSE_COVARIANCE, POSE_STAMPED, TF, TRANSFORM
+from steelnb.io.messages import CAMERA, CLOUD, IMAGE, IMU, ODOMETRY, PATH, POSE_COVARIANCE, POSE_STAMPED, TF, TRANSFORM
 
 KINDS = ("a.bag", "a.mcap", "a.db3")
 STAMPS = np.round(0.2 * np.arange(5), 9)
@@ -68,16 +68,34 @@ class Bagged:
                 message = self.make.make(POSE_COVARIANCE, message.header, message.pose)
             elif kind == TRANSFORM:
                 message = self.make.transform(ns(stamp), frame, child, T).transforms[0]
-            elif kind == PATH:
-                past = trajectory.T_world_drone[: len([r for r in self.rows if r[0] == topic]) + 1]
-                each = [self.make.odometry(ns(s), t) for s, t in zip(trajectory.stamp_s, past, strict=False)]
-                each = [self.make.make(POSE_STAMPED, one.header, one.pose.pose) for one in each]
-                message = self.make.make(PATH, message.header, each)
             self.rows.append((topic, kind, float(stamp), message))
         return self
 
     def tf(self, parent, child, T, stamp=0.0, topic="/tf_static") -> "Bagged":
         self.rows.append((topic, TF[0], stamp, self.make.transform(ns(stamp), parent, child, T)))
+        return self
+
+    def moving(self, parent, child, trajectory=None, topic="/tf") -> "Bagged":
+        """A transform at each stamp of a trajectory."""
+        trajectory = trajectory or poses(len(STAMPS))
+        for stamp, T in zip(trajectory.stamp_s, trajectory.T_world_drone, strict=True):
+            self.tf(parent, child, T, float(stamp), topic)
+        return self
+
+    def imu(self, stamps, force, rate=(0.0, 0.0, 0.0), topic="/imu", frame="base_link") -> "Bagged":
+        """Readings ``(3,)`` or one a stamp."""
+        values = (np.broadcast_to(np.asarray(each, dtype=float), (len(stamps), 3)) for each in (force, rate))
+        for stamp, *readings in zip(stamps, *values, strict=True):
+            message = self.make.imu(ns(stamp), *readings)
+            message.header.frame_id = frame
+            self.rows.append((topic, IMU, float(stamp), message))
+        return self
+
+    def path_of(self, trajectory, stamp, frame="map") -> "Bagged":
+        """A Path of these poses, recorded at a stamp."""
+        each = [self.make.odometry(ns(s), T) for s, T in zip(trajectory.stamp_s, trajectory.T_world_drone, strict=True)]
+        each = [self.make.make(POSE_STAMPED, one.header, one.pose.pose) for one in each]
+        self.rows.append(("/path", PATH, float(stamp), self.make.make(PATH, self.make.header(ns(stamp), frame), each)))
         return self
 
     def images(self, topic, pixels, encoding, frame="camera_optical_frame", stamps=STAMPS) -> "Bagged":

@@ -26,8 +26,7 @@ def bag_of(path, scan_s, pose_s=TIMES):
     return bag.write()
 
 
-@pytest.mark.parametrize("at", [0, 4, 7])
-@pytest.mark.parametrize("wrong_s", [0.0, 12.5, EPOCH_S - 60, EPOCH_S + 60, 2_085_978_496.0])
+@pytest.mark.parametrize(("at", "wrong_s"), [(0, EPOCH_S + 60), (4, 0.0), (4, EPOCH_S - 60), (7, 2_085_978_496.0)])
 @pytest.mark.parametrize("what", ["scan", "pose"])
 def test_one_wrong_stamp_costs_one_message(tmp_path, at, wrong_s, what):
     stamps = TIMES.copy()

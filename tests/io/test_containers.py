@@ -1,6 +1,5 @@
 """Recordings in parts, without an index, cut short, damaged, or in other encodings."""
 
-import gzip
 import shutil
 import struct
 from zlib import crc32
@@ -9,8 +8,7 @@ import numpy as np
 import pytest
 
 from steelnb.core.errors import InputError
-from steelnb.io import read_flight, read_trajectory
-from steelnb.io.clouds import read_points
+from steelnb.io import read_flight
 from steelnb.io.containers import typestore
 from steelnb.io.messages import CLOUD, ODOMETRY, TF
 from tests.io.samples import KINDS, POINTS, STAMPS, Bagged, T_of, ns, poses
@@ -168,33 +166,6 @@ def test_an_unmerged_journal_is_told(tmp_path):
         (tmp_path / name).write_bytes(b"more")
         assert f"a.db3 is not all: {name} beside it has more" in read_flight(path).facts["notes"]
         (tmp_path / name).unlink()
-
-
-@pytest.mark.parametrize("suffix", [".bag", ".mcap", ".db3", ".ply", ".pcd", ".las", ".npy", ".xyz", ".tum"])
-@pytest.mark.parametrize(
-    ("begin", "what"),
-    [
-        (b"version https://git-lfs.github.com/spec/v1\noid sha256:abc\n", r"a pointer of git LFS; .* \(git lfs pull\)"),
-        (b"<!DOCTYPE html>\n<html>", "a web page"),
-        (gzip.compress(b"#ROSBAG V2.0\n" * 50, mtime=0), r"compressed by gzip; .* \(gunzip\)"),
-    ],
-)
-def test_files_that_are_something_else_are_named(tmp_path, suffix, begin, what):
-    path = tmp_path / f"a{suffix}"
-    path.write_bytes(begin)
-    read = read_flight if suffix in (".bag", ".mcap", ".db3") else read_trajectory if suffix == ".tum" else read_points
-    with pytest.raises(InputError, match=rf"a{suffix}.* {what}") as refused:
-        read(path)
-    assert "reindex" not in str(refused.value)
-    assert "recover" not in str(refused.value)
-
-
-def test_the_type_of_a_named_topic_is_told(tmp_path):
-    path = Bagged(tmp_path / "a.mcap").clouds().odometry().write()
-    with pytest.raises(InputError, match=r"/odom is Odometry; expected one topic of clouds .* among /points"):
-        read_flight(path, scans="/odom")
-    with pytest.raises(InputError, match=r"/points is PointCloud2; expected one topic of poses, .* /odom \(Odometry\)"):
-        read_flight(path, poses="/points")
 
 
 def test_types_may_be_named_as_in_ros_1(tmp_path):

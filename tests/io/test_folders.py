@@ -23,6 +23,11 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
+def renamed(folder: Path, name: Callable[[int], object]) -> None:
+    for k in range(1, 11):
+        (folder / f"scan{k}.npy").rename(folder / f"{name(k)}.npy")
+
+
 def test_a_folder_of_clouds_is_sorted_by_the_numbers_in_the_names(folder: Path) -> None:
     write_tum(folder / "groundtruth.tum", poses(10, seed=5))
     flight = read_flight(folder)
@@ -55,9 +60,7 @@ def test_a_folder_of_clouds_is_sorted_by_the_numbers_in_the_names(folder: Path) 
 def test_stamps_are_read_from_the_names(
     folder: Path, begin_s: int, name: Callable[[int, int], str], units: str, step_s: float
 ) -> None:
-    for k in range(1, 11):
-        ns = begin_s * 10**9 + 200_000_000 * (k - 1)
-        (folder / f"scan{k}.npy").rename(folder / f"{name(ns, k)}.npy")
+    renamed(folder, lambda k: name(begin_s * 10**9 + 200_000_000 * (k - 1), k))
     write_tum(folder / "trajectory.tum", poses(round(2 / step_s), step_s=step_s, begin_s=begin_s))
     flight = read_flight(folder)
     np.testing.assert_allclose(flight.prior.stamp_s, begin_s + 0.2 * np.arange(10), atol=1e-6)
@@ -66,8 +69,7 @@ def test_stamps_are_read_from_the_names(
 
 
 def test_decimals_without_the_zeros_before_them_are_nanoseconds(folder: Path) -> None:
-    for k in range(1, 11):
-        (folder / f"scan{k}.npy").rename(folder / f"{UNIX_S}.{30_000_000 * (k - 1)}.npy")
+    renamed(folder, lambda k: f"{UNIX_S}.{30_000_000 * (k - 1)}")
     write_tum(folder / "trajectory.tum", poses(10, step_s=0.03, begin_s=UNIX_S))
     flight = read_flight(folder)
     np.testing.assert_allclose(flight.prior.stamp_s, UNIX_S + 0.03 * np.arange(10), atol=1e-6)
@@ -81,23 +83,22 @@ def test_poses_out_of_order_are_not_given_to_clouds_by_their_number(folder: Path
         read_flight(folder)
 
 
-@pytest.mark.parametrize("name", ["{:03d}", "frame_{:d}_2023", "{:04d}0", "scan_v1.2_{:03d}"])
-def test_numbers_that_count_are_no_stamps(folder: Path, name: str) -> None:
-    for k in range(1, 11):
-        (folder / f"scan{k}.npy").rename(folder / f"{name.format(k)}.npy")
-    assert read_flight(folder).facts["scans"] == "10 files, in the order of their names"
-    write_tum(folder / "trajectory.tum", poses(100, step_s=0.04))
-    with pytest.raises(InputError, match="10 clouds, no stamps in their names, and 100 poses"):
-        read_flight(folder)
-
-
-@pytest.mark.parametrize("name", ["{:04d}_r{:.1f}m", "20231114T2213{:02d}.{:03.0f}"])
-def test_decimals_that_are_no_stamps_leave_the_order(folder: Path, name: str) -> None:
-    for k in range(1, 11):
-        (folder / f"scan{k}.npy").rename(folder / f"{name.format(k, 0.5 * k)}.npy")
+@pytest.mark.parametrize(
+    "name",
+    [
+        "{0:03d}", "frame_{0:d}_2023", "{0:04d}0", "scan_v1.2_{0:03d}", "{0:04d}_r{1:.1f}m",
+        "20231114T2213{0:02d}.{1:03.0f}",
+    ],
+)  # fmt: skip
+def test_numbers_that_count_or_measure_are_no_stamps(folder: Path, name: str) -> None:
+    renamed(folder, lambda k: name.format(k, 0.5 * k))
     flight = read_flight(folder)
     np.testing.assert_array_equal(flight.prior.stamp_s, poses(10).stamp_s)
     assert flight.facts["scans"] == "10 files, in the order of their names"
+    if "{1" not in name:  # decimals are stamps where they order nothing
+        write_tum(folder / "trajectory.tum", poses(100, step_s=0.04))
+        with pytest.raises(InputError, match="10 clouds, no stamps in their names, and 100 poses"):
+            read_flight(folder)
 
 
 def test_a_cloud_that_is_set_aside_is_named_where_the_count_is_wrong(folder: Path) -> None:
@@ -120,12 +121,6 @@ def test_other_files_beside_the_scans_are_named(folder: Path) -> None:
         read_flight(folder)
 
 
-def test_arrays_of_axes_are_not_three_points(folder: Path) -> None:
-    for file in folder.glob("*.npy"):
-        np.save(file, np.load(file).T)
-    assert [scan.points.shape for scan in read_flight(folder).scans] == [POINTS.shape] * 10
-
-
 def test_a_broken_file_is_a_scan_with_a_fault(folder: Path) -> None:
     (folder / "scan3.npy").write_bytes(b"broken")
     faults = [scan.fault for scan in read_flight(folder).scans]
@@ -145,10 +140,15 @@ def test_folders_without_one_trajectory_or_clouds_are_refused(folder: Path) -> N
         read_flight(folder, scans="sub")
 
 
+def save_named(folder: Path, *names: str, count: int | None = None) -> None:
+    """Clouds, each shifted by its number, and as many poses, or ``count``."""
+    for k, name in enumerate(names):
+        np.save(folder / f"{name}.npy", POINTS + k)
+    write_tum(folder / "trajectory.tum", poses(count or len(names)))
+
+
 def test_names_that_differ_in_words_have_no_order(tmp_path: Path) -> None:
-    for name in ("east2", "north1", "south0", "west5"):
-        np.save(tmp_path / f"{name}.npy", POINTS)
-    write_tum(tmp_path / "trajectory.tum", poses(4))
+    save_named(tmp_path, "east2", "north1", "south0", "west5")
     with pytest.raises(InputError, match=r"clouds such as east2.npy and north1.npy have no order; expected names"):
         read_flight(tmp_path)
     for old, new in (("east2", "east0"), ("south0", "south2")):
@@ -171,10 +171,8 @@ def test_what_a_folder_holds_instead_is_named(folder: Path) -> None:
 
 
 def test_numbers_before_words_are_an_order(tmp_path: Path) -> None:
-    for k, name in ((9, "9_a"), (10, "10_b"), (11, "11_c")):
-        np.save(tmp_path / f"{name}.npy", POINTS + k)
-    write_tum(tmp_path / "trajectory.tum", poses(3))
-    assert [scan.points[0, 0] - POINTS[0, 0] for scan in read_flight(tmp_path).scans] == [9, 10, 11]
+    save_named(tmp_path, "9_a", "10_b", "11_c")
+    assert [scan.points[0, 0] - POINTS[0, 0] for scan in read_flight(tmp_path).scans] == [0, 1, 2]
 
 
 def test_other_tables_of_eight_numbers_are_no_trajectory(folder: Path) -> None:
@@ -189,17 +187,13 @@ def test_what_only_a_bag_has_is_refused(folder: Path, options: dict) -> None:
 
 
 def test_a_map_whose_number_is_between_those_of_scans_is_no_scan(tmp_path: Path) -> None:
-    for name in ("1", "3", "5", "7", "6_map"):
-        np.save(tmp_path / f"{name}.npy", POINTS)
-    write_tum(tmp_path / "trajectory.tum", poses(4))
+    save_named(tmp_path, "1", "3", "5", "7", "6_map", count=4)
     flight = read_flight(tmp_path)
     assert len(flight) == 4
     assert "6_map.npy" in str(flight.skipped)
 
 
 def test_scans_of_two_sensors_in_a_folder_are_refused(tmp_path: Path) -> None:
-    for k in range(6):
-        np.save(tmp_path / f"{k}_{('front', 'rear')[k % 2]}.npy", POINTS)
-    write_tum(tmp_path / "trajectory.tum", poses(6))
+    save_named(tmp_path, "0_front", "1_rear", "2_front", "3_rear", "4_front", "5_rear")
     with pytest.raises(InputError, match="one kind"):
         read_flight(tmp_path)

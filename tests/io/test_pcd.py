@@ -49,15 +49,8 @@ def test_headers_of_many_programs_give_the_same_points(content: bytes, tmp_path:
 @pytest.mark.parametrize("data", ["ascii", "binary", "binary_compressed"])
 def test_every_type_is_read_among_other_fields(kind: str, data: str, tmp_path: Path) -> None:
     """Padding of any size, fields of several elements, and z before x; compressed data are stored field by field."""
-    fields = [
-        ("_", "U1", 3),
-        ("z", kind, 1),
-        ("_", "U4", 2),
-        ("x", kind, 1),
-        ("_", "F8", 0),
-        ("n", "F4", 3),
-        ("y", kind, 1),
-    ]
+    names, kinds, counts = "_z_x_ny", ("U1", kind, "U4", kind, "F8", "F4", kind), (3, 1, 2, 1, 0, 3, 1)
+    fields = list(zip(names, kinds, counts, strict=True))
     record = np.dtype([(f"{name}{k}", f"<{each.lower()}", (n,)) for k, (name, each, n) in enumerate(fields)])
     table = np.zeros(6, record)
     for name, axis in (("x3", 0), ("y6", 1), ("z1", 2)):
@@ -70,7 +63,6 @@ def test_every_type_is_read_among_other_fields(kind: str, data: str, tmp_path: P
         # Literal runs of 32 bytes are LZF too.
         packed = b"".join(bytes([len(run) - 1]) + run for k in range(0, len(plain), 32) if (run := plain[k : k + 32]))
         body = np.array([len(packed), len(plain)], "<u4").tobytes() + packed
-    names, kinds, counts = zip(*fields, strict=True)
     head = header(
         data, FIELDS=" ".join(names), TYPE=" ".join(each[0] for each in kinds),
         SIZE=" ".join(each[1] for each in kinds), COUNT=" ".join(map(str, counts)), WIDTH="3", HEIGHT="2",
@@ -114,12 +106,7 @@ def test_lzf_repeats_stretches_that_overlap_and_refuses_damage() -> None:
     assert unpack(1, 7, 8, 0x40, 1, 0, 9, size=7) == bytes([7, 8, 7, 8, 7, 8, 9])
     assert unpack(0, 5, 0xE0, 250, 0, size=260) == bytes([5] * 260)
     for packed, size in (
-        ([3, 1, 2], 4),
-        ([0, 5, 0x20, 1], 4),
-        ([0, 5, 0xE0], 9),
-        ([0, 5], 2),
-        ([1, 5, 6], 1),
-        ([0, 5, 0x20], 4),
-    ):
+        ([3, 1, 2], 4), ([0, 5, 0x20, 1], 4), ([0, 5, 0xE0], 9), ([0, 5], 2), ([1, 5, 6], 1), ([0, 5, 0x20], 4),
+    ):  # fmt: skip
         with pytest.raises(ValueError, match="compressed data are damaged"):
             unpack(*packed, size=size)

@@ -46,8 +46,7 @@ for number, name in enumerate("xyz"):
 
 
 def test_missing_numbers_in_the_spelling_of_windows_are_nan(tmp_path: Path) -> None:
-    text = header("ascii") + LINES.replace(b"3 4 5", b"1.#QNAN -1.#IND 1.#INF")
-    (tmp_path / "a.ply").write_bytes(text)
+    (tmp_path / "a.ply").write_bytes(header("ascii") + LINES.replace(b"3 4 5", b"1.#QNAN -1.#IND 1.#INF"))
     assert np.isnan(read_points(tmp_path / "a.ply")).any(axis=1).sum() == 1
 
 

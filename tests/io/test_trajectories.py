@@ -27,7 +27,16 @@ def named(prefix: str, sign: str = ".") -> str:
     [
         (0.5, f"0.5,{POSE}\n1.5,{POSE}\n".replace(",", " ")),
         (0.5, f"\ufeff0.5,{POSE}\n1.5,{POSE}\n"),
-        (0.5, f"# timestamp tx ty tz qw qx qy qz\n0.5 1 2 3 {W} {X} {Y} {Z}\n1.5 1 2 3 {W} {X} {Y} {Z}\n"),
+        *(
+            (0.5, f"# {comment}\n0.5 1 2 3 {W} {X} {Y} {Z}\n1.5 1 2 3 {W} {X} {Y} {Z}\n")
+            for comment in (
+                "timestamp tx ty tz qw qx qy qz",
+                "timestamp x y z qw qx qy qz (w first)",
+                "columns: t, px, py, pz, qw, qx, qy, qz, name",
+                "t | x | y | z | qw | qx | qy | qz |",
+            )
+        ),
+        (0.5, f"# t x y z qx qy qz qw (was qw qx qy qz before v2)\n0.5,{POSE}\n1.5,{POSE}\n".replace(",", " ")),
         (0.5, f"{NAMES},t\n{POSE},0.5\n{POSE},1.5\n"),
         (0.5, f"stamp_ms,{NAMES}\n500,{POSE}\n1500,{POSE}\n".replace(",", ";").replace(".", ",")),
         (0.5, "t,x,y,z,roll_deg,pitch_deg,yaw_deg\n0.5,1,2,3,10,-20,50\n1.5,1,2,3,10,-20,50\n"),
@@ -93,15 +102,6 @@ def test_poses_of_kitti_take_their_stamps_from_the_file_beside(tmp_path: Path) -
         read_trajectory(tmp_path / "00.txt")
 
 
-@pytest.mark.parametrize("names", ["format: stamp x y z qw qx qy qz", "t | x | y | z | qw | qx | qy | qz |"])
-def test_an_order_of_columns_that_a_comment_tells_is_used(names: str, tmp_path: Path) -> None:
-    x, y, z, w = TURN.as_quat()
-    (tmp_path / "a.txt").write_text(f"# {names}\n0 1 2 3 {w} {x} {y} {z}\n1 1 2 3 {w} {x} {y} {z}\n")
-    np.testing.assert_allclose(
-        read_trajectory(tmp_path / "a.txt").T_world_drone[0, :3, :3], TURN.as_matrix(), atol=1e-9
-    )
-
-
 @pytest.mark.parametrize(
     ("content", "message"),
     [
@@ -125,6 +125,13 @@ def test_an_order_of_columns_that_a_comment_tells_is_used(names: str, tmp_path: 
         (f"start_time,end_time,{NAMES}\n0,1,{POSE}\n", "2 columns may be stamps: start_time, end_time; expected one"),
         (f"date,{NAMES},a,b,c,d\n0,{POSE},0,0,0,0\n", "columns date, .*none for stamp"),
         ("5000 1 2 3 0 0 0 1\n5100 1 2 3 0 0 0 1\n5200 1 2 3 0 0 0 1\n", "stamps 100 s apart; expected seconds"),
+        (
+            "".join(f"1.7e+09 {k} 2 3 0 0 0 1\n" for k in range(50)),
+            "50 poses have 1 stamps; expected one each, written",
+        ),
+        ("1 2 3\n", "3 numbers per line"),
+        ("a b\n", "TUM trajectory .*no line of numbers"),
+        ("4 0 0 0 0 0 0 0\n", "1 poses, none valid"),
     ],
 )
 def test_unclear_trajectories_are_refused(content: str, message: str, tmp_path: Path) -> None:
@@ -144,17 +151,9 @@ def test_a_written_trajectory_is_read_by_us_and_by_evo(tmp_path: Path) -> None:
     np.testing.assert_allclose(read_tum_trajectory_file(str(tmp_path / "a.tum")).poses_se3, written.T_world_drone)
 
 
-def test_invalid_poses_are_dropped_and_files_without_valid_poses_refused(tmp_path: Path) -> None:
+def test_invalid_poses_are_dropped(tmp_path: Path) -> None:
     lines = ["# stamp x y z qx qy qz qw", "2 1 0 0 0 0 0 2", "1 0 0 0 0 0 0 1", "1 5 0 0 0 0 0 1", "3 nan 0 0 0 0 0 1"]
     (tmp_path / "a.tum").write_text("\n".join([*lines, "4 0 0 0 0 0 0 0"]))
     read = read_trajectory(tmp_path / "a.tum")
     np.testing.assert_array_equal(read.stamp_s, [1.0, 2.0])
     np.testing.assert_array_equal(read.position[:, 0], [0.0, 1.0])
-    for content, message in (
-        ("4 0 0 0 0 0 0 0", "1 poses, none valid"),
-        ("1 2 3", "3 numbers per line"),
-        ("a b", "TUM trajectory .*no line of numbers"),
-    ):
-        (tmp_path / "b.tum").write_text(content)
-        with pytest.raises(InputError, match=message):
-            read_trajectory(tmp_path / "b.tum")

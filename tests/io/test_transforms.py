@@ -6,22 +6,16 @@ import pytest
 from steelnb.core.errors import InputError
 from steelnb.core.types import Trajectory
 from steelnb.io import read_flight, write_tum
-from steelnb.io.messages import ODOMETRY, PATH, POSE_STAMPED
+from steelnb.io.frames import T_OPTICAL_SENSOR
+from steelnb.io.messages import ODOMETRY, POSE_STAMPED
 from tests.io.samples import POINTS, STAMPS, Bagged, T_of, poses
 
 MOUNT, DRONE = T_of((0.3, 0, 0.1), (0.1, -0.2, 1.5)), poses(5)
-KINDS = "a.bag", "a.mcap"
 
 
 @pytest.fixture
 def bag(tmp_path):
     return Bagged(tmp_path / "a.bag")
-
-
-def moving(bag, parent, child, trajectory=DRONE, topic="/tf"):
-    for stamp, T in zip(trajectory.stamp_s, trajectory.T_world_drone, strict=True):
-        bag.tf(parent, child, T, stamp, topic)
-    return bag
 
 
 def world_points(flight):
@@ -61,8 +55,8 @@ def test_a_static_mount_without_stamps_repeats_nothing_and_one_that_changes_is_n
 def test_poses_are_those_of_a_chain_of_moving_transforms(bag, world, named):
     ground, up = DRONE.T_world_drone.copy(), np.tile(np.eye(4), (5, 1, 1))
     ground[:, 2, 3], up[:, 2, 3] = 0, DRONE.position[:, 2]
-    moving(bag, world, "base_footprint", type(DRONE)(STAMPS, ground))
-    moving(bag, "base_footprint", "base_link", type(DRONE)(STAMPS, np.linalg.inv(ground) @ DRONE.T_world_drone))
+    bag.moving(world, "base_footprint", Trajectory(STAMPS, ground))
+    bag.moving("base_footprint", "base_link", Trajectory(STAMPS, np.linalg.inv(ground) @ DRONE.T_world_drone))
     flight = read_flight(bag.clouds().tf("base_link", "tof", MOUNT).write(), poses=named)
     np.testing.assert_allclose(flight.prior.T_world_drone, DRONE.T_world_drone, atol=1e-9)
     np.testing.assert_allclose(flight.T_drone_sensor, MOUNT, atol=1e-12)
@@ -71,11 +65,11 @@ def test_poses_are_those_of_a_chain_of_moving_transforms(bag, world, named):
 
 def test_the_drone_is_what_the_sensor_hangs_on_or_what_moves(bag):
     other = poses(5, seed=3)
-    moving(moving(bag.clouds(), "odom", "gripper", other), "odom", "drone").tf("odom", "marker", MOUNT, 0, "/tf")
+    bag.clouds().moving("odom", "gripper", other).moving("odom", "drone").tf("odom", "marker", MOUNT, 0, "/tf")
     path = bag.tf("drone", "tof", MOUNT).write()
     np.testing.assert_allclose(read_flight(path).prior.T_world_drone, DRONE.T_world_drone, atol=1e-9)
     unknown = Bagged(path.with_stem("b")).clouds(frame="lidar")
-    moving(moving(unknown, "odom", "gripper", other), "odom", "drone").write()
+    unknown.moving("odom", "gripper", other).moving("odom", "drone").write()
     with pytest.raises(InputError, match=r"several frames may be the drone.s: odom>drone, odom>gripper; .*poses"):
         read_flight(unknown.path)
     chosen = read_flight(unknown.path, poses="odom > gripper")
@@ -85,25 +79,25 @@ def test_the_drone_is_what_the_sensor_hangs_on_or_what_moves(bag):
 
 
 def test_a_drone_that_stands_still_has_poses(bag):
-    still = type(DRONE)(STAMPS, np.tile(MOUNT, (5, 1, 1)))
-    flight = read_flight(moving(bag.clouds(), "odom", "base_link", still).write())
+    still = Trajectory(STAMPS, np.tile(MOUNT, (5, 1, 1)))
+    flight = read_flight(bag.clouds().moving("odom", "base_link", still).write())
     np.testing.assert_allclose(flight.prior.T_world_drone, still.T_world_drone, atol=1e-12)
 
 
 def test_of_two_drones_the_one_whose_scans_are_read_counts(bag):
-    moving(bag.clouds("/uav2/points"), "odom", "base_link", poses(5, seed=3), "/uav1/tf")
-    moving(bag, "odom", "base_link", DRONE, "/uav2/tf")
+    bag.clouds("/uav2/points").moving("odom", "base_link", poses(5, seed=3), "/uav1/tf")
+    bag.moving("odom", "base_link", DRONE, "/uav2/tf")
     np.testing.assert_allclose(read_flight(bag.write()).prior.T_world_drone, DRONE.T_world_drone, atol=1e-9)
 
 
 def test_scans_on_a_gimbal_are_given_in_its_first_pose(bag):
     gimbal = poses(5, seed=5)
-    flight = read_flight(moving(bag.clouds().odometry(), "base_link", "tof", gimbal).write())
+    flight = read_flight(bag.clouds().odometry().moving("base_link", "tof", gimbal).write())
     assert_world_points(flight, DRONE.T_world_drone @ gimbal.T_world_drone)
     np.testing.assert_allclose(flight.T_drone_sensor, gimbal.T_world_drone[0], atol=1e-12)
     assert "tf base_link → tof moves" in flight.facts["mount"]
-    late = type(gimbal)(gimbal.stamp_s[2:], gimbal.T_world_drone[2:])
-    part = moving(Bagged(bag.path.with_stem("late")).clouds().odometry(), "base_link", "tof", late)
+    late = Trajectory(gimbal.stamp_s[2:], gimbal.T_world_drone[2:])
+    part = Bagged(bag.path.with_stem("late")).clouds().odometry().moving("base_link", "tof", late)
     assert read_flight(part.write()).skipped == {"scan without a transform to the drone": 2}
 
 
@@ -140,7 +134,7 @@ def test_clouds_in_the_world_are_brought_back_to_the_drone(bag, tmp_path, frame,
     if source == "topic":
         bag.odometry(frame=world, child="body")
     elif source == "tf":
-        moving(bag, world, "body")
+        bag.moving(world, "body")
     write_tum(tmp_path / "poses.tum", DRONE)
     flight = read_flight(bag.write(), poses=str(tmp_path / "poses.tum") if source == "file" else None)
     T = np.linalg.inv(T_map_init) if source == "topic" else np.eye(4)
@@ -157,13 +151,14 @@ def test_clouds_in_a_world_that_nothing_relates_to_the_poses_are_refused(bag):
 
 
 def test_poses_of_something_else_than_the_sensors_drone_are_refused(bag):
-    moving(moving(bag.clouds(), "odom", "base_link"), "odom", "marker", poses(5, seed=3)).tf("base_link", "tof", MOUNT)
+    bag.clouds().moving("odom", "base_link").moving("odom", "marker", poses(5, seed=3)).tf("base_link", "tof", MOUNT)
     with pytest.raises(InputError, match=r"poses are of marker, but tof moves without it.*--poses 'odom>base_link'"):
         read_flight(bag.odometry(child="marker").write())
 
 
-@pytest.mark.parametrize("body", ["x500", "uav1/quadrotor", "drone"])
-@pytest.mark.parametrize("poses_from", ["PoseStamped", "a file", "an empty child"])
+@pytest.mark.parametrize(
+    ("body", "poses_from"), [("x500", "PoseStamped"), ("uav1/quadrotor", "a file"), ("drone", "an empty child")]
+)
 def test_a_drone_of_any_name_is_what_carries_the_sensor(bag, tmp_path, body, poses_from):
     bag.clouds().tf(body, "plate", MOUNT).tf("plate", "tof", MOUNT)
     if poses_from == "a file":
@@ -216,19 +211,37 @@ def test_scans_of_several_sensors_at_one_time_are_one_scan(bag, sensors):
     np.testing.assert_array_equal(flight.scans[4].points, list(flight.scans)[4].points)
 
 
-@pytest.mark.parametrize("frame", ["NED", "map_ned_frame", "odom_frd", "world_ned"])
-@pytest.mark.parametrize("body", ["base_link_frd", "drone_1/odom_local_ned", "base_link"])
+@pytest.mark.parametrize(
+    ("frame", "body"),
+    [
+        ("NED", "base_link_frd"), ("map_ned_frame", "drone_1/odom_local_ned"), ("odom_frd", "base_link"),
+        ("world_ned", "base_link"),
+    ],
+)  # fmt: skip
 def test_words_of_frames_tell_axes(bag, frame, body):
     flip = np.diag([1.0, -1, -1, 1])
     flight = read_flight(bag.clouds(frame="").odometry(frame=frame, child=body).write())
     right = flip if body != "base_link" else np.eye(4)
     np.testing.assert_allclose(flight.prior.T_world_drone, flip @ DRONE.T_world_drone @ right, atol=1e-9)
+    assert f"z points down in {frame}" in flight.facts["notes"]
 
 
-@pytest.mark.parametrize("frame", ["optical_frame", "camera_optical_link", "tof_optical_frame_0", "TofOpticalFrame"])
-def test_optical_is_a_word_of_a_name(bag, frame):
-    scan = next(iter(read_flight(bag.clouds(frame=frame).odometry().write()).scans))
-    np.testing.assert_allclose(scan.points, POINTS[..., [2, 0, 1]] * [1, -1, -1])
+TURNED = POINTS[..., [2, 0, 1]] * [1, -1, -1]
+
+
+@pytest.mark.parametrize(
+    ("frame", "points"),
+    [
+        ("optical_frame", TURNED), ("camera_optical_link", TURNED), ("tof_optical_frame_0", TURNED),
+        ("TofOpticalFrame", TURNED), ("optical_flow_link", POINTS), ("lidar_optical_mount", POINTS),
+        ("optical_base", POINTS), ("nonoptical", POINTS),
+    ],
+)  # fmt: skip
+def test_optical_is_one_of_the_last_words_of_a_name(bag, frame, points):
+    flight = read_flight(bag.clouds(frame=frame).odometry().tf("base_link", frame, MOUNT).write())
+    np.testing.assert_allclose(flight.scans[0].points, points)
+    turn = T_OPTICAL_SENSOR if points is TURNED else np.eye(4)
+    np.testing.assert_allclose(flight.T_drone_sensor, MOUNT @ turn, atol=1e-12)
 
 
 @pytest.mark.parametrize("frame", ["camera_link", "iris/depth_camera"])
@@ -246,22 +259,18 @@ def test_a_depth_camera_that_would_look_straight_up_looks_ahead(bag, frame):
 def test_a_goal_is_no_trajectory(bag, beside):
     goal = Trajectory(DRONE.stamp_s[2:3], DRONE.T_world_drone[2:3])
     bag.clouds().odometry("/goal_pose", goal, kind=POSE_STAMPED)
-    flight = read_flight((moving(bag, "odom", "base_link") if beside == "tf" else bag.odometry()).write())
+    flight = read_flight((bag.moving("odom", "base_link") if beside == "tf" else bag.odometry()).write())
     assert len(flight) == len(STAMPS)
     np.testing.assert_allclose(flight.prior.T_world_drone, DRONE.T_world_drone, atol=1e-9)
     assert "poses of /goal_pose are left out: 1 of them" in flight.facts["notes"]
 
 
-def test_a_path_that_keeps_its_latest_poses_is_joined(bag):
+@pytest.mark.parametrize("latest", [2, 5])
+def test_a_path_that_grows_or_keeps_its_latest_poses_has_all(bag, latest):
     bag.clouds()
     for end in range(1, len(STAMPS) + 1):
-        shown = slice(max(end - 2, 0), end)
-        each = [
-            bag.make.odometry(round(s * 1e9), T) for s, T in zip(STAMPS[shown], DRONE.T_world_drone[shown], strict=True)
-        ]
-        each = [bag.make.make(POSE_STAMPED, one.header, one.pose.pose) for one in each]
-        message = bag.make.make(PATH, bag.make.header(round(STAMPS[end - 1] * 1e9), "map"), each)
-        bag.rows.append(("/path", PATH, float(STAMPS[end - 1]), message))
+        shown = slice(max(end - latest, 0), end)
+        bag.path_of(Trajectory(STAMPS[shown], DRONE.T_world_drone[shown]), STAMPS[end - 1])
     flight = read_flight(bag.write())
     np.testing.assert_allclose(flight.prior.T_world_drone, DRONE.T_world_drone, atol=1e-9)
     assert flight.skipped == {}
@@ -274,9 +283,7 @@ def test_a_path_of_another_map_is_not_joined(bag):
         shown, moved = (slice(0, k + 1), 0.0) if k < 2 else (slice(2, k + 1), 5.0)
         T = DRONE.T_world_drone[shown].copy()
         T[:, 0, 3] += moved
-        each = [bag.make.odometry(round(s * 1e9), pose) for s, pose in zip(STAMPS[shown], T, strict=True)]
-        each = [bag.make.make(POSE_STAMPED, one.header, one.pose.pose) for one in each]
-        bag.rows.append(("/path", PATH, float(stamp), bag.make.make(PATH, bag.make.header(0, "map"), each)))
+        bag.path_of(Trajectory(STAMPS[shown], T), stamp)
     flight = read_flight(bag.write())
     np.testing.assert_array_equal(flight.prior.stamp_s, STAMPS[2:])
     np.testing.assert_allclose(flight.prior.position[:, 0], DRONE.position[2:, 0] + 5.0)
@@ -285,19 +292,11 @@ def test_a_path_of_another_map_is_not_joined(bag):
 def test_a_part_of_a_scan_that_cannot_be_read_leaves_the_others(bag):
     for frame in ("l0", "l1"):
         bag.clouds(frame=frame).tf("base_link", frame, np.eye(4))
-    broken = next(
-        message for *_, message in bag.rows if getattr(message, "header", None) and message.header.frame_id == "l1"
-    )
+    broken = next(row[-1] for row in bag.rows if row[0] == "/points" and row[-1].header.frame_id == "l1")
     broken.width, broken.row_step = 10_000_000, 120_000_000
     flight = read_flight(bag.odometry().write())
     assert [len(scan.points.reshape(-1, 3)) for scan in flight.scans] == [20, 40, 40, 40, 40]
     assert all(scan.fault == "" for scan in flight.scans)
-
-
-@pytest.mark.parametrize("frame", ["optical_flow_link", "lidar_optical_mount", "optical_base", "nonoptical"])
-def test_optical_before_another_word_is_none(bag, frame):
-    scan = next(iter(read_flight(bag.clouds(frame=frame).odometry().write()).scans))
-    np.testing.assert_allclose(scan.points, POINTS)
 
 
 @pytest.mark.parametrize("delay_s", [0.0, 0.05])

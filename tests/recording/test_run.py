@@ -11,7 +11,7 @@ from steelnb import experiment
 from steelnb.core.errors import InputError
 from steelnb.core.lazy_open3d import import_open3d
 from steelnb.core.types import Flight, Scan, Trajectory
-from steelnb.io import read_flight, read_trajectory, write_flight, write_tum
+from steelnb.io import read_flight, read_trajectory, read_truth, write_flight, write_tum
 from steelnb.io.clouds import read_points
 from steelnb.recording.evaluate import TIMES, at_scans, truth_of
 from steelnb.recording.run import FILES, run_recording
@@ -19,20 +19,26 @@ from steelnb.recording.settings import recording_settings
 from steelnb.settings import ExperimentSettings
 from tests.io.samples import Bagged, poses
 
+SCANS = 40
+
 
 @pytest.fixture(scope="module")
 def simulated():
     """A zigzag of 8 s with a quarter of the pixels: settings, flight and truth. Positions of the prior are multiples of
     2⁻²⁰ m, so that coordinates of a map can be added and taken off again without rounding: in a flight so short,
     rounding by 1e-9 m decides on some bars."""
-    small = {"tof.columns": 90, "tof.rows": 120}
-    settings = ExperimentSettings.preset(
-        "zigzag", "random-walk:0.002", sensor="starling2", method="best", seed=4, duration_s=8.0, overrides=small
-    )
+    made = {"duration_s": 0.2 * SCANS, "overrides": {"tof.columns": 90, "tof.rows": 120}}
+    settings = ExperimentSettings.preset("zigzag", "random-walk:0.002", method="best", seed=4, **made)
     flight, truth = experiment.simulate(settings)
     T = flight.prior.T_world_drone.copy()
     T[:, :3, 3] = np.round(T[:, :3, 3] * 2**20) / 2**20
     return settings, replace(flight, prior=Trajectory(flight.prior.stamp_s, T)), truth
+
+
+@pytest.fixture
+def undrawn(monkeypatch):
+    """Runs without pictures, which take as long as the rest."""
+    monkeypatch.setattr("steelnb.recording.run.draw", lambda *_: None)
 
 
 @pytest.fixture(scope="module")
@@ -42,7 +48,7 @@ def report(simulated, tmp_path_factory):
     flight = replace(flight, facts={"mount": "as simulated"})
     folder = tmp_path_factory.mktemp("run") / "out"
     found = run_recording(flight, folder, *recording_settings(), truth.trajectory, seen.append)
-    assert seen == pytest.approx(np.arange(1, 41) / 40)
+    assert seen == pytest.approx(np.arange(1, SCANS + 1) / SCANS)
     return found
 
 
@@ -54,13 +60,33 @@ def test_in_memory_a_run_is_the_experiments_to_the_bit(simulated, report):
     assert report.numbers["prior_ate_rmse_m"] == same.metrics["raw_ate_rmse_m"]
 
 
-def test_through_a_file_a_run_is_that_of_memory(simulated, report, tmp_path):
+def test_through_files_a_run_is_that_of_memory_and_is_judged_beside_another_program_as_by_evo(
+    simulated, report, tmp_path
+):
+    from evo.core.metrics import APE, PoseRelation
+    from evo.core.sync import associate_trajectories
+    from evo.tools.file_interface import read_tum_trajectory_file
+
     _, flight, truth = simulated
-    write_flight(tmp_path / "a.mcap", flight)
+    T = flight.prior.T_world_drone[5:].copy()
+    T[:, :3, 3] += 0.05 * np.random.default_rng(1).standard_normal((len(T), 3))
+    write_tum(tmp_path / "theirs.tum", Trajectory(flight.prior.stamp_s[5:], T))
+    write_flight(tmp_path / "a.mcap", flight, truth.trajectory)
+    other = "theirs.tum", read_trajectory(tmp_path / "theirs.tum")
     read = read_flight(tmp_path / "a.mcap")
-    found = run_recording(read, tmp_path / "out", *recording_settings(), truth.trajectory)
+    found = run_recording(read, tmp_path / "out", *recording_settings(), read_truth(tmp_path / "a.mcap"), other=other)
     apart = found.estimate.corrected.position - report.estimate.corrected.position
     assert np.abs(apart).max() < 1e-4  # points are written in single precision
+    true = read_tum_trajectory_file(tmp_path / "a.truth.tum")
+    for part, file in (("estimate", "theirs.tum"), ("corrected", "out/corrected.tum")):
+        ape = APE(PoseRelation.translation_part)
+        ape.process_data(associate_trajectories(true, read_tum_trajectory_file(tmp_path / file), max_diff=1e-4))
+        error_m = ape.error[5 - SCANS :]  # theirs covers all scans but the first five
+        assert found.numbers[f"{part}_ate_rmse_m"] == pytest.approx(np.sqrt((error_m**2).mean()), rel=1e-6)
+        assert found.numbers[f"{part}_error_max_m"] == pytest.approx(error_m.max(), rel=1e-6)
+    assert found.numbers["frames_with_truth"] == SCANS - 5
+    assert any(f"theirs.tum covers {SCANS - 5} of {SCANS} scans" in line for line in found.summary)
+    assert any(line.split()[0] == "theirs.tum" for line in found.summary)
 
 
 def test_the_map_has_the_points_of_the_bars_for_other_programs(report):
@@ -85,8 +111,8 @@ def test_a_run_writes_what_it_says(report):
     corrected = read_trajectory(report.folder / "corrected.tum")
     np.testing.assert_allclose(corrected.T_world_drone, report.estimate.corrected.T_world_drone, atol=1e-12)
     table = pd.read_csv(report.folder / "table.csv", index_col="quantity")["value"]
-    assert table["frames"] == table["frames_with_truth"] == 40
-    assert table["used"] == 39
+    assert table["frames"] == table["frames_with_truth"] == SCANS
+    assert table["used"] == SCANS - 1
     assert table["not used: first scan"] == 1
     assert table["corrected_ate_rmse_m"] < 0.5 * table["prior_ate_rmse_m"]
     assert table["segments"] == len(pd.read_csv(report.folder / "segments.csv"))
@@ -94,17 +120,17 @@ def test_a_run_writes_what_it_says(report):
     assert set(report.times) == set(TIMES)
 
 
-def test_a_smoothed_run_tells_the_uncertainty_of_its_bars(simulated, tmp_path):
+def test_a_smoothed_run_tells_the_uncertainty_of_its_bars(simulated, undrawn, tmp_path):
     _, flight, truth = simulated
     settings = recording_settings(overrides={"smooth": True})
-    found = run_recording(replace(flight, facts={"mount": ""}), tmp_path, *settings, truth.trajectory)
-    if not found.estimate.unsmoothed:
-        sigma_mm = pd.read_csv(tmp_path / "segments.csv")[["sigma_start_mm", "sigma_end_mm"]]
-        assert (sigma_mm > 0).all(axis=None)
+    found = run_recording(replace(flight.first(20), facts={"mount": ""}), tmp_path, *settings, truth.trajectory)
+    assert not found.estimate.unsmoothed
+    sigma_mm = pd.read_csv(tmp_path / "segments.csv")[["sigma_start_mm", "sigma_end_mm"]]
+    assert (sigma_mm > 0).all(axis=None)
     assert found.numbers["corrected_ate_rmse_m"] < 0.5 * found.numbers["prior_ate_rmse_m"]
 
 
-def test_poses_of_a_map_come_back_in_its_coordinates(simulated, report, tmp_path):
+def test_poses_of_a_map_come_back_in_its_coordinates(simulated, report, undrawn, tmp_path):
     _, flight, truth = simulated
     far = np.array([299_100.0, 2_801_400.0, 0.0])
     moved = replace(flight, prior=flight.prior.moved(far), facts={"mount": ""})
@@ -144,31 +170,6 @@ def test_a_trajectory_in_another_frame_is_moved_onto_the_first_pose():
     assert part is not None
     assert len(part) == 10
     assert "the truth covers 10 of 20 scans" in notes[0]
-
-
-def test_another_program_is_judged_at_the_scans_of_ours_as_evo_judges_it(simulated, tmp_path):
-    from evo.core.metrics import APE, PoseRelation
-    from evo.core.sync import associate_trajectories
-    from evo.tools.file_interface import read_tum_trajectory_file
-
-    _, flight, truth = simulated
-    T = flight.prior.T_world_drone[5:].copy()
-    T[:, :3, 3] += 0.05 * np.random.default_rng(1).standard_normal((len(T), 3))
-    write_tum(tmp_path / "theirs.tum", Trajectory(flight.prior.stamp_s[5:], T))
-    write_tum(tmp_path / "truth.tum", truth.trajectory)
-    flight = replace(flight, facts={"mount": ""})
-    other = "theirs.tum", read_trajectory(tmp_path / "theirs.tum")
-    found = run_recording(flight, tmp_path / "out", *recording_settings(), truth.trajectory, other=other)
-    true = read_tum_trajectory_file(tmp_path / "truth.tum")
-    for part, file in (("estimate", "theirs.tum"), ("corrected", "out/corrected.tum")):
-        ape = APE(PoseRelation.translation_part)
-        ape.process_data(associate_trajectories(true, read_tum_trajectory_file(tmp_path / file), max_diff=1e-4))
-        error_m = ape.error[-35:]  # theirs covers all scans but the first five
-        assert found.numbers[f"{part}_ate_rmse_m"] == pytest.approx(np.sqrt((error_m**2).mean()), rel=1e-6)
-        assert found.numbers[f"{part}_error_max_m"] == pytest.approx(error_m.max(), rel=1e-6)
-    assert found.numbers["frames_with_truth"] == 35
-    assert any("theirs.tum covers 35 of 40 scans" in line for line in found.summary)
-    assert any(line.split()[0] == "theirs.tum" for line in found.summary)
 
 
 def test_a_truth_of_another_time_is_refused_if_it_was_named(tmp_path):

@@ -27,11 +27,12 @@ def shell(radius_m: float, count: int = 2000) -> np.ndarray:
     return direction / np.linalg.norm(direction, axis=1)[:, None] * np.linspace(0.01, radius_m, count)[:, None]
 
 
-@pytest.mark.parametrize("sensor", ["starling2", "report-4cm", "starling2-honest"])
-@pytest.mark.parametrize("trajectory", ["zigzag", "loops"])
+@pytest.mark.parametrize(
+    ("trajectory", "sensor"), [("zigzag", "starling2"), ("loops", "report-4cm"), ("loops", "starling2-honest")]
+)
 def test_before_the_tower_all_settings_are_the_presets(trajectory, sensor):
-    settings = ExperimentSettings.preset(trajectory, "random-walk+tilt", sensor=sensor, seed=12, duration_s=2.0)
-    flight, _ = experiment.simulate(settings)
+    made = {"sensor": sensor, "seed": 12, "duration_s": 2.0, "overrides": {"tof.columns": 90, "tof.rows": 120}}
+    flight, _ = experiment.simulate(ExperimentSettings.preset(trajectory, "random-walk+tilt", **made))
     for method in ("best", "faces", "least_squares"):
         assert recording_settings(method, sensor, scene=Scene.of(flight)) == recording_settings(method, sensor)
 
@@ -116,14 +117,7 @@ def test_scans_in_millimetres_are_told():
 
 @pytest.mark.parametrize(
     ("name", "value"),
-    [
-        ("tof.rate_hz", 3.0),
-        ("tof.range_max_m", 5.0),
-        ("flight.gust_sigma_m_s", 0.1),
-        ("seed", 3),
-        ("tower", "heavy"),
-        ("imu", None),
-    ],
+    [("tof.rate_hz", 3.0), ("flight.gust_sigma_m_s", 0.1), ("seed", 3), ("tower", "heavy"), ("imu", None)],
 )
 def test_settings_of_the_simulation_are_refused_since_they_would_change_nothing(name, value):
     with pytest.raises(InputError, match=f"^{name}"):
