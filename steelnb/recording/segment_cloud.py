@@ -118,8 +118,9 @@ def segment_file(
         f"written   {output}/: segments.csv, segments.png" + (", segments.html" if scene else ""),
     )
     warnings = _warnings(found, explained, cloud, min_votes)
-    shares = explained, on_surfaces
-    return SegmentReport(segments, found.freedom, found.width_m, voxel, dx, *shares, summary, warnings)
+    return SegmentReport(
+        segments, found.freedom, found.width_m, voxel, dx, explained, on_surfaces, summary, warnings
+    )  # fmt: skip
 
 
 def _surface_lines(surfaces: list[Surface]) -> list[str]:
