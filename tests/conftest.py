@@ -14,7 +14,7 @@ settings.register_profile("random", derandomize=False, deadline=None)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "same"))
 
 
-LONGEST = ("test_notebooks.py", "test_workflow.py", "test_digests.py", "test_lab.py")
+LONGEST = ("test_notebooks.py", "test_docs.py", "test_workflow.py", "test_digests.py", "test_lab.py")
 """Files that take minutes. If one of them began last, one worker would be idle until it ends."""
 
 
