@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from steelnb.core.types import Array, IntArray, Segments
-from steelnb.fusion.objects import in_structures
+from steelnb.fusion.objects import ALONE, HELD_MIN, at_bars, in_structures
 from steelnb.fusion.refit import FIT_TUBES
 from steelnb.hough.freedom import ALONG_M, nearest_bar
 from steelnb.points.surfaces import Surface
@@ -51,6 +51,11 @@ class CloudBars:
     def fit_tubes(self) -> bool:
         """Whether bars were found, and most fit in the tube. In a wider bar, lines along its sides pass for bars."""
         return len(self.bars) > 0 and self.typical_m <= WIDTH_MAX * self.tube_m
+
+    @property
+    def is_lattice(self) -> bool:
+        """Whether most bars end at others, as in `in_structures`."""
+        return len(self.bars) > ALONE and at_bars(self.bars, self.tube_m).all(axis=1).mean() >= HELD_MIN
 
     @property
     def all_on_surfaces(self) -> bool:

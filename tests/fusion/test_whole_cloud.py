@@ -208,10 +208,13 @@ def test_ground_that_is_rougher_and_sparser_than_the_steel_does_not_set_the_tube
     checked(found, TOWER, 0.95, 0.9)
 
 
-@pytest.mark.parametrize(("face_m", "beside"), [(0.25, ""), (0.3, "a tree"), (0.4, "a tower")])
-def test_the_members_of_a_slim_mast_are_told_apart(face_m, beside):
+@pytest.mark.parametrize(
+    ("face_m", "beside", "per_m", "least"),
+    [(0.25, "", 500, 0.9), (0.3, "a tree", 500, 0.9), (0.4, "a tower", 500, 0.9), (0.3, "", 110, 0.5)],
+)
+def test_the_members_of_a_slim_mast_are_told_apart(face_m, beside, per_m, least):
     mast, rng = lattice(2.5, face_m, face_m, round(2.5 / face_m)), np.random.default_rng(3)
-    bars, points = mast, scanned(mast, 500, 0.02, 0.002)
+    bars, points = mast, scanned(mast, per_m, 0.02, 0.002)
     if beside == "a tree":
         points = np.concatenate([points, tree(rng, 3.0, 0.0)])
     elif beside == "a tower":
@@ -219,7 +222,7 @@ def test_the_members_of_a_slim_mast_are_told_apart(face_m, beside):
         bars[: len(mast)] -= [4.0, 0.0, 0.0]
     match = checked(bars_of_cloud(on_ground(points, 5.0 if beside else 3.0, 400)), bars, 0.9, 0.0, 0.05)
     long = np.flatnonzero(np.linalg.norm(bars[:, 1] - bars[:, 0], axis=1) > 0.35)
-    assert len({*match.member[match.right]} & {*long}) >= 0.9 * len(long)
+    assert len({*match.member[match.right]} & {*long}) >= least * len(long)
 
 
 def test_lines_in_a_tree_are_no_bars_and_those_of_a_tower_beside_it_are():
