@@ -10,7 +10,7 @@ from steelnb.fusion.whole_cloud import bars_of_cloud
 from steelnb.metrics.segments import match_members
 from tests.lattice import STEEL, TOWER, lattice, on_ground, scanned, tree
 
-FACES_M, PER_M = (0.2, 0.25, 0.3, 0.4, 0.5), (500, 1000, 2000)
+FACES_M, PER_M = (0.2, 0.25, 0.3, 0.4, 0.5), (100, 200, 500, 1000, 2000)
 
 
 def main() -> None:
