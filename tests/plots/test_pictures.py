@@ -1,4 +1,6 @@
-"""Figures show what they name, and fill their page."""
+"""Figures show what they name, fill their page, and keep what is drawn together apart by colour."""
+
+import itertools
 
 import numpy as np
 import pandas as pd
@@ -12,6 +14,32 @@ from steelnb.core.types import Segments
 from steelnb.plots.charts import error_dots, some
 from steelnb.plots.draw import in_view
 from steelnb.plots.flight import figure_bars
+
+TOGETHER = {
+    "bands": ["draws", "draw", "report"],
+    "segments": ["none", "report-segments", "average", "least_squares", "report"],
+    "yaw": ["none", "report-segments", "average", "least_squares_yaw"],
+    "clouds": ["none", "report-icp", "icp", "best", "report"],
+    "3-DoF": ["none", "report-icp-3dof", "icp-3dof", "report"],
+    "GICP": ["none", "report-gicp", "gicp", "report"],
+}
+"""Names of curves that one panel shows."""
+
+
+def lightness_and_hue(colour: str) -> np.ndarray:
+    """CIE 1976 L*a*b* coordinates (3,) of a colour, in which a distance of 10 is seen at once."""
+    rgb = np.array(to_rgb(colour))
+    linear = np.where(rgb > 0.04045, ((rgb + 0.055) / 1.055) ** 2.4, rgb / 12.92)
+    to_xyz = [[0.4339, 0.3762, 0.1899], [0.2126, 0.7152, 0.0722], [0.0178, 0.1095, 0.8727]]  # over the white of D65
+    x, y, z = np.cbrt(np.maximum(to_xyz @ linear, 1e-9))
+    return np.array([116 * y - 16, 500 * (x - y), 200 * (y - z)])
+
+
+@pytest.mark.parametrize("names", TOGETHER.values(), ids=TOGETHER)
+def test_curves_of_one_panel_have_colours_that_differ(names):
+    for one, other in itertools.combinations(names, 2):
+        apart = np.linalg.norm(lightness_and_hue(plots.COLOURS[one]) - lightness_and_hue(plots.COLOURS[other]))
+        assert apart > 20, (one, other)
 
 
 @pytest.fixture
