@@ -109,7 +109,7 @@ def make_parts(root: Path, ids: Sequence[str], budget: str, given: Mapping[str, 
 
 
 def first_parts(root: Path, budget: str) -> list[Part]:
-    """The first part of each notebook, with those apart: the others run the same cells."""
+    """The first part of each notebook, also of experiments that are `apart`: other parts run the same cells."""
     parts = make_parts(root, [*read_experiments(root)], budget)
     return list({part.notebook: part for part in reversed(parts)}.values())
 

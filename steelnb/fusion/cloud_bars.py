@@ -54,7 +54,7 @@ class CloudBars:
 
     @property
     def is_lattice(self) -> bool:
-        """Whether most bars end at others, as in `in_structures`."""
+        """Whether most bars end at other bars, by the measure of `in_structures`."""
         return len(self.bars) > ALONE and at_bars(self.bars, self.tube_m).all(axis=1).mean() >= HELD_MIN
 
     @property

@@ -39,9 +39,9 @@ NARROWER, WIDER = tuple(2 ** (-k / 2) for k in range(1, 11)), (2, 4)
 """Other tubes to try, in multiples of the first."""
 REST_MIN, KEPT_MIN = 0.2, 0.9
 """Minimum share of the points on no surface that lie on no bar, for wider tubes among them: bars of narrower tubes
-leave less of their object, or up to `LATTICE_REST_MAX` if they end at each other: some members of a slim mast have too
-few points. And the minimum share of the first bars' length inside wider ones that replace them."""
+leave less of their object. And the minimum share of the first bars' length inside wider ones that replace them."""
 LATTICE_REST_MAX = 0.4
+"""What bars of narrower tubes may leave if they form a lattice: some members of a slim mast have too few points."""
 STEEL_MAX = 0.9
 """A cloud is searched again if the points on no surface call for a tube below this share of that of the whole cloud:
 ground may be sampled more sparsely than steel."""
@@ -92,17 +92,18 @@ TubeSearch = Callable[[Array, float], CloudBars]
 
 def _in_narrower_tubes(found: CloudBars, least_m: float, search: TubeSearch) -> CloudBars:
     """The bars, and those of objects beside them that narrower tubes explain: masts whose members are close together,
-    and models. Tubes are at least as wide as ``least_m``, and as an object's points are apart."""
+    and models. The narrowest tube is ``least_m``, or what the distance of the object's points allows."""
     rest, slim = found.steel[found.is_off], found
     number = objects_of(rest, APART * found.tube_m)
     large = np.flatnonzero(np.bincount(number) > OFF_MIN * len(found.steel))
     for each in (rest[number == k] for k in large):
-        narrowest_m = max(least_m, DX_PER_SPACING * spacing(each, 4), NARROWER[-1] * found.tube_m)
-        tubes = [tube_m for multiple in NARROWER if (tube_m := multiple * found.tube_m) > narrowest_m]
-        tries = (search(each, tube_m) for tube_m in [*tubes, narrowest_m] if tube_m < found.tube_m)
+        narrowest_m = max(least_m, DX_PER_SPACING * spacing(each, 4))
+        tubes = dict.fromkeys(max(multiple * found.tube_m, narrowest_m) for multiple in NARROWER)
+        tries = (search(each, tube_m) for tube_m in tubes if tube_m < found.tube_m)
         best, least = None, 1.0
         for bars in tries:
-            if (share := bars.share_off) < min(least, LATTICE_REST_MAX if bars.is_lattice else REST_MIN):
+            share = bars.share_off
+            if share < least and (share < REST_MIN or (share < LATTICE_REST_MAX and bars.is_lattice)):
                 best, least = bars, share
             if best is not None and (share > least or least < OFF_MIN):
                 break

@@ -17,8 +17,8 @@ BENDS = ("bend_deg", "tilt_max_deg", "yaw_max_deg", "offset_max_m", "blur_mean_m
 
 
 def assembled_clouds(results: Sequence[experiment.Result]) -> list[tuple[Array, Array]]:
-    """The points of each run at its estimated and at the true poses (`paired_clouds`). Flights are simulated again; a
-    flight that runs in a row share, once."""
+    """The points of each run at its estimated and at the true poses (`paired_clouds`). Flights are simulated
+    again, once for all runs of a flight that follow each other."""
     flights = Flights()
     return [
         paired_clouds(flights(one.settings)[0], one, one.truth, one.settings.odometry.preprocess) for one in results

@@ -92,7 +92,7 @@ def segment_file(
         found = bars_of_cloud(cloud.points, dx_m, voxel_m, min_votes, on_stage)
         found = found.take(np.argsort(-found.bars.length, kind="stable"))
         bars, off, dx = found.bars, found.surface < 0, found.tube_m
-        explained = float(within(cloud.points[off], bars, dx).mean()) if off.any() else 0.0
+        explained = float(within(found.steel, bars, dx).mean()) if off.any() else 0.0
         segments = bars.moved(cloud.origin)
         columns = {"width_m": found.width_m.round(3), "freedom": found.freedom.round(2)}
         write_segments(segments, folder / "segments.csv", more=columns)
@@ -139,23 +139,23 @@ def _name(surface: Surface) -> str:
 
 def _warnings(found: CloudBars, explained: float, cloud: Cloud, min_votes: int) -> tuple[str, ...]:
     far = f"points more than {STRAY_M / 1e3:g} km from the others, which are left out: {cloud.strays}"
-    lines, off, points = [far] if cloud.strays else [], int((found.surface < 0).sum()), cloud.points
+    lines = [far] if cloud.strays else []
     if not len(found.bars):
-        left = len(voxel_grid(points, found.voxel_m))
+        left = len(voxel_grid(cloud.points, found.voxel_m))
         why = "the points on no surface do not lie along lines"
         if found.all_on_surfaces:
             why = "all points lie on surfaces"
         elif found.apart:
             why = f"the {found.apart} lines look like parts of trees or vehicles: most points around them are on none"
         elif left < VOXELS_FEW * min_votes:
-            why = f"voxels of {found.voxel_m:.3g} m leave {left} of {len(points)} points, and a bar needs {min_votes}"
+            why = f"voxels of {found.voxel_m:.3g} m leave {left} of {len(cloud)} points, and a bar needs {min_votes}"
         elif not np.isnan(found.typical_m):
             why = f"no line stands free in tubes of {found.tube_m:.2g} m; narrower ones (--dx) tell close members apart"
         lines.append(f"no bar found: {why}")
     elif explained < EXPLAINED_MIN:
         lines.append(
-            f"bars explain {100 * explained:.0f} % of the {off} points that lie on no surface: is this a structure of"
-            " bars, and is the tube as wide as one of them (--dx)?"
+            f"bars explain {100 * explained:.0f} % of the {len(found.steel)} points that lie on no surface: is this a"
+            " structure of bars, and is the tube as wide as one of them (--dx)?"
         )
     return tuple(lines)
 
