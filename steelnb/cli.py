@@ -10,9 +10,9 @@ from typing import Annotated, Any
 import typer
 
 import steelnb
-from steelnb.core.errors import InputError, SteelnbError
+from steelnb.core.errors import InputError
 from steelnb.core.files import check_folder, display_name
-from steelnb.core.terminal import prepare_terminal, progress, say, warn
+from steelnb.core.terminal import call, progress, say, warn
 
 EXIT_CODES = """\b
 Exit codes:
@@ -43,22 +43,6 @@ def main(arguments: list[str] | None = None) -> int:
     """Run the command line and return the exit code."""
     signal.signal(signal.SIGTERM, lambda number, _: sys.exit(128 + number))  # removes hidden folders
     return call(app, "steelnb", arguments or sys.argv[1:] or ["--help"])
-
-
-def call(app: typer.Typer, name: str, arguments: list[str] | None) -> int:
-    """Run a command line and return the exit code. User errors go to stderr, in one line each."""
-    prepare_terminal()
-    try:
-        code = app(arguments, prog_name=name, standalone_mode=False)
-    except (SteelnbError, typer.TyperException) as fault:
-        message = fault.format_message() if isinstance(fault, typer.TyperException) else str(fault)
-        say(f"{name}: error: {' '.join(message.split())[:1000]}", sys.stderr)
-        return 2
-    except KeyboardInterrupt:
-        return 130
-    except SystemExit as ended:  # 1: the reader of a help text has gone, as that of `| head -1`
-        code = 0 if ended.code == 1 else ended.code
-    return int(code or 0)
 
 
 def _version(is_set: bool) -> None:

@@ -75,6 +75,9 @@ def here(recorded: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 BAD = (
     (["run", "nothing.bag"], "nothing.bag: does not exist; expected a recording"),
+    (["segment", "-o", ""], "an empty argument; expected a name or a value"),
+    (["run", " "], "an empty argument; expected a name or a value"),
+    (["study", "--output="], "an empty argument; expected a name or a value"),
     (["segment", "half.ply"], "half.ply: not a PLY file of points: "),
     (["run", "a.mcap", "--odometry", "orb"], "a.mcap: no images for method 'orb'"),
     (["run", "a.mcap", "--set", "preproces.crop_m=1"], "preproces.crop_m = 1: unknown setting, did you mean"),
@@ -83,7 +86,7 @@ BAD = (
     (["run", "a.mcap", "--mount", "1,2"], "--mount 1,2: expected six numbers"),
     (["run", "a.mcap", "--range-max", "-1"], "crop_m = -1.0"),
     (["run", "a.mcap", "--poses", "/nothing"], "no topic '/nothing'"),
-    (["run", "a.mcap", "--clock", "sun"], "clock 'sun' with 0.0 s; expected stamps or bag"),
+    (["run", "a.mcap", "--clock", "sun"], "clock 'sun' with 0 s; expected stamps or bag"),
     (["run", "a.mcap", "--time-offset", "5000"], "--time-offset SECONDS shifts scans"),
     (["run", "a.mcap", "--truth", "nothing.tum"], "nothing.tum: no such file, here or in a.mcap"),
     (["run", "a.mcap", "-o", "kept_run"], "kept_run: exists already; expected a new folder, or --force"),

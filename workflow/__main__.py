@@ -13,9 +13,9 @@ from typing import Annotated
 
 import typer
 
-from steelnb.cli import call
 from steelnb.core.errors import InputError
 from steelnb.core.files import new_folder
+from steelnb.core.terminal import call
 from steelnb.notebook.results import find_root
 from workflow.experiments import BUDGETS, first_parts, make_parts, parse_parameters
 from workflow.run_notebooks import LATEST, cache_folder, latest_parts, run

@@ -1,4 +1,4 @@
-"""What a command tells its user on a terminal: progress and warnings."""
+"""What a command tells its user on a terminal: errors, warnings and progress."""
 
 import io
 import os
@@ -6,7 +6,37 @@ import sys
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import TextIO
+from typing import TYPE_CHECKING, TextIO
+
+from steelnb.core.errors import InputError, SteelnbError
+
+if TYPE_CHECKING:
+    import typer
+
+
+def call(app: "typer.Typer", name: str, arguments: list[str] | None) -> int:
+    """Run a command line and return the exit code. User errors go to stderr, in one line each."""
+    import typer
+
+    prepare_terminal()
+    arguments = sys.argv[1:] if arguments is None else arguments
+    try:
+        if any(not each.strip() or (each.startswith("--") and each.endswith("=")) for each in arguments):
+            raise InputError("an empty argument; expected a name or a value")  # as a path, it would be this folder
+        code = app(arguments, prog_name=name, standalone_mode=False)
+    except (SteelnbError, typer.TyperException) as fault:
+        message = fault.format_message() if isinstance(fault, typer.TyperException) else str(fault)
+        say(f"{name}: error: {' '.join(message.split())[:1000]}", sys.stderr)
+        return 2
+    except OSError as fault:  # stdout has no room for a help text
+        discard(sys.stdout)
+        say(f"{name}: error: {fault.strerror or fault}", sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        return 130
+    except SystemExit as ended:  # 1: the reader of a help text has gone, as that of `| head -1`
+        code = 0 if ended.code == 1 else ended.code
+    return int(code or 0)
 
 
 def prepare_terminal() -> None:
@@ -28,11 +58,16 @@ def say(text: str, file: TextIO | None = None) -> None:
     try:
         print(text, file=stream, flush=True)
     except OSError as fault:
-        null = os.open(os.devnull, os.O_WRONLY)
-        os.dup2(null, stream.fileno())  # what is still in the buffer goes there
-        os.close(null)
+        discard(stream)
         if not isinstance(fault, BrokenPipeError):
             warn(f"stdout: {fault.strerror}; what follows is not printed")
+
+
+def discard(stream: TextIO) -> None:
+    """Print nothing more to a stream, not even what is still in its buffer."""
+    null = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(null, stream.fileno())
+    os.close(null)
 
 
 def warn(*messages: str) -> None:

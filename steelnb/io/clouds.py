@@ -21,7 +21,7 @@ from steelnb.core.geometry import shift_of, translated
 from steelnb.core.types import Array, IntArray
 from steelnb.hough.lines import spacing
 from steelnb.io.coordinates import check_degrees, check_steps, is_stray
-from steelnb.io.encodings import foreign
+from steelnb.io.encodings import foreign_file
 from steelnb.io.las import read_las
 from steelnb.io.pcd import read_pcd
 from steelnb.io.ply import read_ply
@@ -105,9 +105,8 @@ def read_points(path: Path | str) -> Array:
         raise InputError(f"{path}: a folder; expected a file of points (`steelnb run` takes a folder of scans)")
     with reading(path, f"a {path.suffix[1:].upper() or 'readable'} file of points"), warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of NumPy, about files of Python 2
-        with path.open("rb") as file:
-            if what := foreign(file.read(32)):
-                raise ValueError(what)
+        if what := foreign_file(path):
+            raise ValueError(what)
         if read is None:
             raise InputError(f"{path}: ending {path.suffix!r}; expected one of {', '.join(READERS)}")
         points = np.array(read(path), dtype=np.float64)

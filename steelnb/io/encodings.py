@@ -2,6 +2,7 @@
 
 import codecs
 import re
+from pathlib import Path
 
 MARKS = {codecs.BOM_UTF8: "utf-8", codecs.BOM_UTF16_LE: "utf-16-le", codecs.BOM_UTF16_BE: "utf-16-be"}
 WINDOWS_NAN = re.compile(rb"-?1\.#(?:IND|QNAN|SNAN|INF)\d*")
@@ -36,6 +37,12 @@ def foreign(begin: bytes) -> str:
     both = begin.lower(), begin.lstrip().lower()
     found = [what for start, what in FOREIGN.items() if any(each.startswith(start) for each in both)]
     return next(iter(found + [what for form, what in FOREIGN_FORMS.items() if re.match(form, begin)]), "")
+
+
+def foreign_file(path: Path) -> str:
+    """What a file is, if that is never a recording or a cloud, else ""."""
+    with path.open("rb") as file:
+        return foreign(file.read(32))
 
 
 def plain_nan(data: bytes) -> bytes:

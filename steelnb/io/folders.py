@@ -14,6 +14,7 @@ from steelnb.core.files import display_name
 from steelnb.core.types import Array, Trajectory
 from steelnb.io.clouds import READERS, read_points
 from steelnb.io.containers import is_bag
+from steelnb.io.encodings import foreign_file
 from steelnb.io.opened import Opened, Walk
 from steelnb.io.table_form import read_table
 from steelnb.io.trajectories import OUT_OF_ORDER, SECONDS, read_trajectory, unit_of_stamps
@@ -75,6 +76,20 @@ def named_file(path: Path, name: str) -> Path:
     raise InputError(f"{name}: no such file, here or in {path}; expected a trajectory")
 
 
+def _other_files(folder: Path, suffixes: Sequence[str]) -> str:
+    """What is in a folder instead of clouds, and what to do."""
+    files = sorted(folder.glob("[!.]*"))
+    held = ", ".join(sorted({file.suffix or file.name for file in files})[:8]) or "nothing"
+    wanted = f"{held}; expected files with suffix {', '.join(suffixes)}"
+    for inner in filter(Path.is_dir, files):
+        if any(file.suffix.lower() in suffixes for file in inner.iterdir()):
+            return f"{wanted}, or the name of a folder in it (--scans {inner.name})"
+    for file in filter(Path.is_file, files):
+        if what := foreign_file(file):
+            return f"{held}; {file.name} is {what}"
+    return wanted
+
+
 def _scans(folder: Path) -> tuple[list[Path], list[Path]]:
     """The clouds in a folder that are scans, sorted by the numbers in their names, 9 before 10, and the other clouds.
 
@@ -87,14 +102,7 @@ def _scans(folder: Path) -> tuple[list[Path], list[Path]]:
         forms.setdefault(NUMBER.sub("#", file.stem) + file.suffix.lower(), []).append(file)
     no_tables = [file for file in files if file.suffix.lower() != ".csv"]
     if not no_tables and max(map(len, forms.values()), default=0) < 2:
-        held = ", ".join(sorted({file.suffix or file.name for file in folder.glob("[!.]*")})[:8]) or "nothing"
-        inner = [
-            each for each in sorted(folder.glob("[!.]*/")) if any(f.suffix.lower() in suffixes for f in each.iterdir())
-        ]
-        remedy = f", or the name of a folder in it (--scans {inner[0].name})" if inner else ""
-        raise InputError(
-            f"{folder}: no clouds in it, but {held}; expected files with suffix {', '.join(suffixes)}{remedy}"
-        )
+        raise InputError(f"{folder}: no clouds in it, but {_other_files(folder, suffixes)}")
     chosen = max(forms.values(), key=len)
     others = [each for each in forms.values() if each is not chosen]
     if len(chosen) == 1:  # the names differ in more than numbers

@@ -15,12 +15,14 @@ from steelnb.io.bags import Clock, open_bag
 from steelnb.io.clocks import rising_stamps
 from steelnb.io.clouds import READERS
 from steelnb.io.containers import bags_in, is_bag
-from steelnb.io.encodings import foreign
+from steelnb.io.encodings import foreign_file
 from steelnb.io.folders import TRUE, named_file, open_clouds
 from steelnb.io.opened import Walk
 from steelnb.io.trajectories import interpolate, read_trajectory
 
 CLOCKS = ("stamps", "bag")
+OFFSET_MAX_S = 1e10
+"""Three centuries, more than any two clocks differ."""
 RISING_MIN = 0.5
 """If fewer of the stamps rise, the clock is of no use."""
 FAR_M = 1e6
@@ -62,13 +64,13 @@ def read_flight(
         T_drone_sensor = checked_pose(T_drone_sensor, "T_drone_sensor")
     check_exists(path, "a recording")
     if not path.is_dir() and not is_bag(path):
-        with path.open("rb") as file:
-            what = foreign(file.read(32))
+        what = foreign_file(path)
         remedy = "; `steelnb segment` takes a single cloud" if path.suffix.lower() in READERS else ""
         ending = f"ending {path.suffix!r}; expected .bag, .mcap, .db3 or a folder{remedy}"
         raise InputError(f"{path}: is {what}" if what else f"{path}: {ending}")
-    if clock not in CLOCKS or not np.isfinite(time_offset_s):
-        raise InputError(f"clock {clock!r} with {time_offset_s} s; expected {' or '.join(CLOCKS)}, and finite seconds")
+    if clock not in CLOCKS or not abs(time_offset_s) < OFFSET_MAX_S:
+        expected = f"{' or '.join(CLOCKS)}, and seconds below {OFFSET_MAX_S:g}"
+        raise InputError(f"clock {clock!r} with {time_offset_s:g} s; expected {expected}")
     if is_bag(path):
         opened = open_bag(path, scans, poses, imu, T_drone_sensor, Clock(clock == "bag", time_offset_s))
     else:

@@ -6,19 +6,29 @@ import tomllib
 from typing import Annotated, Any, ClassVar, Self, get_args
 
 import numpy as np
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 
 from steelnb.core import rng
 from steelnb.core.arguments import checks_arguments
 from steelnb.core.checks import checked_kind, guess, shown
 from steelnb.core.errors import InputError
 
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+
+def _usable(value: float) -> float:
+    """Refuse numbers whose squares, or the inverses of these, are infinite."""
+    if value and not 1e-30 < abs(value) < 1e30:
+        raise ValueError("expected a size between 1e-30 and 1e30")
+    return value
+
+
+Finite = Annotated[float, Field(allow_inf_nan=False), AfterValidator(_usable)]
+Positive = Annotated[Finite, Field(gt=0)]
+NotNegative = Annotated[Finite, Field(ge=0)]
+Edge = Annotated[Finite, Field(ge=1e-4)]
+"""Edge of voxels, metres. With smaller ones a flight of 100 m has more voxels a side than an index counts."""
 DURATION_MAX_S = 14_400.0
 """Four hours. A flight is limited because its poses and IMU samples are held in memory."""
 Duration = Annotated[float, Field(gt=0, le=DURATION_MAX_S)]
-NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
-Finite = Annotated[float, Field(allow_inf_nan=False)]
 Probability = Annotated[float, Field(ge=0, le=1)]
 
 

@@ -2,6 +2,7 @@
 
 import io
 import os
+import subprocess
 import sys
 import warnings
 
@@ -19,6 +20,17 @@ def test_what_an_encoding_lacks_is_a_question_mark(monkeypatch, encoding):
     say("90° → \udcff")
     for stream, after in ((sys.stdout, "\n"), (sys.stderr, ".bag: does not exist; expected a recording\n")):
         assert ("90° → \udcff" + after).encode(encoding, "replace") in stream.buffer.getvalue()
+
+
+@pytest.mark.parametrize("arguments", [["--help"], ["run", "--help"], ["--version"]])
+def test_a_help_text_without_room_is_one_line(arguments):
+    with open("/dev/full", "w") as full:
+        done = subprocess.run(
+            [sys.executable, "-m", "steelnb", *arguments], stdout=full, stderr=subprocess.PIPE, text=True
+        )
+    assert done.returncode in (0, 2)
+    assert done.stderr.count("\n") == 1
+    assert "No space left on device" in done.stderr
 
 
 @pytest.mark.parametrize(("name", "said"), [("pipe", ""), ("/dev/full", "stdout: No space left on device")])

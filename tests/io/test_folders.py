@@ -1,5 +1,6 @@
 """Folders of clouds as flights."""
 
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 
@@ -161,6 +162,10 @@ def test_what_a_folder_holds_instead_is_named(folder: Path) -> None:
     for file in folder.glob("*.npy"):
         file.rename(folder / "inner" / file.name)
     with pytest.raises(InputError, match=r"no clouds in it, but .*\(--scans inner\)"):
+        read_flight(folder)
+    (folder / "a.e57").write_bytes(b"ASTM-E57\1")
+    shutil.rmtree(folder / "inner")
+    with pytest.raises(InputError, match=r"no clouds in it, but .*a.e57 is E57; expected PLY or LAS"):
         read_flight(folder)
     (folder / "trajectory.tum").unlink()
     np.save(folder / "map1.npy", POINTS)
