@@ -8,7 +8,7 @@ import numpy as np
 from steelnb.core.types import Array
 from steelnb.fusion.whole_cloud import bars_of_cloud
 from steelnb.metrics.segments import match_members
-from tests.lattice import STEEL, TOWER, lattice, on_ground, scanned, tree
+from tests.lattice import STEEL, TOWER, bare_tree, lattice, on_ground, scanned, tree
 
 FACES_M, PER_M = (0.2, 0.25, 0.3, 0.4, 0.5), (100, 200, 500, 1000, 2000)
 
@@ -21,12 +21,16 @@ def main() -> None:
         for per_m in PER_M:
             cloud = on_ground(scanned(mast, per_m, 0.02, 0.002), 4.0)
             report(f"mast of {face_m} m, {per_m} points/m", cloud, mast, long)
-    for seed in (3, 4, 5, 6):
-        rng = np.random.default_rng(seed)
-        beside, near = ([tree(rng, *place) for place in places] for places in (((5, 0), (-3, 5)), ((3, 0), (-2, 2))))
-        report(f"trees, seed {seed}", on_ground(np.concatenate(beside), 6.0), TOWER, TOWER)
-        report(f"trees beside a tower, seed {seed}", on_ground(np.concatenate([*beside, STEEL]), 6.0), TOWER, TOWER)
-        report(f"trees that reach into it, seed {seed}", on_ground(np.concatenate([*near, STEEL]), 6.0), TOWER, TOWER)
+    for grown, name in ((tree, "trees"), (bare_tree, "bare trees")):
+        for seed in (3, 4, 5, 6):
+            rng = np.random.default_rng(seed)
+            beside, near = ([grown(rng, *each) for each in places] for places in (((5, 0), (-3, 5)), ((3, 0), (-2, 2))))
+            for where, cloud in (("", beside), (" beside a tower", [*beside, STEEL]), (" in a tower", [*near, STEEL])):
+                report(f"{name}{where}, seed {seed}", on_ground(np.concatenate(cloud), 6.0), TOWER, TOWER)
+    mast = lattice(4.0, 0.3, 0.3, 13)
+    masts = [mast + np.array([4.0 * column, 4.0 * row, 0.0]) for column in range(5) for row in range(5)]
+    cloud = on_ground(np.concatenate([scanned(each, 200, 0.02, 0.002) for each in masts]), 20.0, 100)
+    report("25 masts of 0.3 m", cloud, np.concatenate(masts), np.concatenate(masts))
 
 
 def report(name: str, cloud: Array, bars: Array, sought: Array) -> None:

@@ -81,6 +81,20 @@ def tree(rng: np.random.Generator, x: float, y: float) -> np.ndarray:
     return np.concatenate([*wood, leaves[leaves[:, 2] > 1.5]])
 
 
+def bare_tree(rng: np.random.Generator, x: float, y: float) -> np.ndarray:
+    """Trunk, limbs and twigs in all directions but down."""
+    limbs, twigs = [], []
+    for height in rng.uniform(1.5, 4.8, 12):
+        turn, rise, length_m = rng.uniform((0, 0.2, 1.0), (2 * np.pi, 1.2, 2.0))
+        start = np.array([x, y, height])
+        limbs.append((start, start + length_m * np.array([np.cos(turn), np.sin(turn), rise])))
+        for share, side in zip(rng.uniform(0.3, 0.9, 2), rng.normal(size=(2, 3)), strict=True):
+            fork = start + share * (limbs[-1][1] - start)
+            twigs.append((fork, fork + 0.9 * (limbs[-1][1] - start) / length_m + 0.5 * side))
+    wood = rods(rng, ((x, y, 0.0), (x, y, 5.5)), radius_m=0.1), rods(rng, *limbs, radius_m=0.03)
+    return np.concatenate([*wood, rods(rng, *twigs, radius_m=0.02)])
+
+
 def thinned(points: np.ndarray, apart: float) -> np.ndarray:
     """A subset in which no two points are closer than ``apart``, as in delivered LiDAR surveys."""
     tree, keep, gone = cKDTree(points), [], np.zeros(len(points), dtype=bool)

@@ -15,8 +15,7 @@ from steelnb.points.surfaces import Surface
 WIDTH_MAX = 3.0
 """Maximum median width of bars that fit in a tube, in its radii."""
 OFF_MIN = 0.05
-"""A cloud with a smaller share of its points off all surfaces has no bars worth a search in other tubes; and an object
-with a smaller share of those has none either."""
+"""A cloud with a smaller share of its points off all surfaces has no bars worth a search in other tubes."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,8 +105,10 @@ class CloudBars:
         bars = Segments.joined([self.bars, more.bars])
         order = np.argsort(-bars.count, kind="stable")
         freedom, width_m = np.append(self.freedom, more.freedom), np.append(self.width_m, more.width_m)
-        tube_m, narrowest_m = self.tube_m if len(self.bars) else more.tube_m, min(self.narrowest_m, more.narrowest_m)
-        joined = replace(self, bars=bars, freedom=freedom, width_m=width_m, tube_m=tube_m, narrowest_m=narrowest_m)
+        first = self if len(self.bars) else more
+        tubes = {"tube_m": first.tube_m, "typical_m": first.typical_m}
+        narrowest_m = min(self.narrowest_m, more.narrowest_m)
+        joined = replace(self, bars=bars, freedom=freedom, width_m=width_m, narrowest_m=narrowest_m, **tubes)
         return joined.take(order)
 
     def of_structures(self) -> "CloudBars":

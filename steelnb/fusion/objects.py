@@ -1,5 +1,7 @@
 """Bars of a structure, told from lines in trees and vehicles, by what lies around them and where they end."""
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
@@ -22,6 +24,12 @@ up to 0.5."""
 CLEAR_MIN, MOST = 0.9, 0.75
 """Where bars explain less: the minimum share of the points around a bar's axis, in the median along it, by which it is
 clear of other things; and the minimum share of the length of bars that are. Some branches of a tree are clear."""
+ALIKE_RAD, ALIKE_MIN = math.radians(5.0), 8.0
+"""Where too few bars end at others: angle within which two bars are parallel, and the minimum number of parallel pairs,
+in multiples of that of random directions. Members of a structure have few directions (11 to 260), branches do not (0
+to 6)."""
+BRANCHES = 8
+"""Minimum number of bars whose directions tell a tree: a pole with some arms has no two alike either."""
 ALONE = 2
 """As many bars or fewer, such as a pole in a bush, need only stand free."""
 STEP_M = 0.3
@@ -37,12 +45,14 @@ def objects_of(points: Array, cell_m: float) -> IntArray:
     return connected(pair, len(cells))[cell.ravel()]
 
 
-def at_bars(bars: Segments, tube_m: float) -> NDArray[np.bool_]:
-    """Whether each end of each bar, extended a little, meets another bar ``(B, 2)``."""
-    number = np.arange(len(bars))
+def at_bars(bars: Segments, tube_m: float, these: NDArray[np.bool_] | None = None) -> NDArray[np.bool_]:
+    """Whether each end of each bar, extended a little, meets another bar, or another of ``these (B,)``: ``(B, 2)``."""
+    number, these = np.arange(len(bars)), np.ones(len(bars), dtype=bool) if these is None else these
     beyond = beyond_ends(bars, REACH_M / TUBE_M * tube_m, 0.5 * tube_m)
     meets = [
-        within(beyond[:, :, k].reshape(-1, 3), bars.take(number != k), 1.5 * tube_m).reshape(2, -1).any(axis=1)
+        within(beyond[:, :, k].reshape(-1, 3), bars.take(these & (number != k)), 1.5 * tube_m)
+        .reshape(2, -1)
+        .any(axis=1)
         for k in number
     ]
     return np.array(meets, dtype=bool).reshape(len(bars), 2)
@@ -54,7 +64,8 @@ def in_structures(
     """Whether each bar belongs to a structure ``(B,)``.
 
     Bars that hang together are a structure if they are at most `ALONE`, if most of the points around them lie on bars,
-    if that is so along most of their length, or if most of them end at other bars or at surfaces.
+    if that is so along most of their length, or if most of them end at other bars or at surfaces. Trees without leaves
+    stand as clear, but their bars are `prefabricated` only where a structure stands among them.
 
     ``points (N, 3)``: those on no surface; ``on_bar (N,)``: whether a point lies on a bar; ``surface (M, 3)``: the
     points on surfaces.
@@ -71,18 +82,36 @@ def in_structures(
     own = np.array([np.bincount(number[steel.query(axis)[1]]).argmax() for axis in axes])
     count = np.bincount(own, minlength=len(around))
     is_structure = (count <= ALONE) | (np.bincount(number) >= EXPLAINED_MIN * around)
-    doubtful = np.flatnonzero(~is_structure[own])
-    if not len(doubtful):
-        return np.ones(len(bars), dtype=bool)
-    every, ends = cKDTree(points), at_bars(bars, tube_m)
+    at_surface, clear = np.zeros((len(bars), 2), dtype=bool), np.zeros(len(bars), dtype=bool)
     if len(surface):
-        ends |= (cKDTree(surface).query(np.stack([bars.start, bars.end]))[0] <= REACH_M / TUBE_M * tube_m).T
-    clear = np.zeros(len(bars), dtype=bool)
-    for bar in doubtful:
+        at_surface = (cKDTree(surface).query(np.stack([bars.start, bars.end]))[0] <= REACH_M / TUBE_M * tube_m).T
+    ends, every = at_surface | at_bars(bars, tube_m), cKDTree(points)
+    for bar in np.flatnonzero(~is_structure[own]):
         on, near = (tree.query_ball_point(axes[bar], AROUND * tube_m, return_length=True) for tree in (steel, every))
         clear[bar] = np.median(on / np.maximum(near, 1)) >= CLEAR_MIN
     held, length_m, clear_m = (
         np.bincount(own, weight, len(count)) for weight in (ends.all(axis=1), bars.length, bars.length * clear)
     )
     is_structure |= (held >= HELD_MIN * count) | (clear_m >= MOST * length_m)
-    return np.asarray(is_structure[own])
+    belongs = is_structure[own]
+    for group in np.flatnonzero(is_structure & (held < MOST * count) & (count >= BRANCHES)):
+        together = np.flatnonzero(own == group)
+        belongs[together] = prefabricated(bars.take(together), at_surface[together], tube_m)
+    return belongs
+
+
+def prefabricated(bars: Segments, at_surface: NDArray[np.bool_], tube_m: float) -> NDArray[np.bool_]:
+    """Whether each bar has one of the few directions of a structure, or ends at those that have or at surfaces,
+    ``at_surface (B, 2)``: ``(B,)``. All have, unless hardly more are parallel than of random directions."""
+    tree = cKDTree(np.concatenate([bars.direction, -bars.direction]))
+    alike = tree.query_ball_point(bars.direction, 2 * math.sin(0.5 * ALIKE_RAD), return_length=True) - 1
+    by_chance = (1 - math.cos(ALIKE_RAD)) * (len(bars) - 1)
+    if alike.mean() >= ALIKE_MIN * by_chance:
+        return np.ones(len(bars), dtype=bool)
+    is_so = alike >= max(ALONE, by_chance + 3 * math.sqrt(by_chance))
+    for _ in range(len(bars)):
+        grown = is_so | (at_surface | at_bars(bars, tube_m, is_so)).all(axis=1)
+        if (grown == is_so).all():
+            break
+        is_so = grown
+    return is_so

@@ -37,6 +37,9 @@ TUBES_MIN = 40
 """Minimum size of a cloud in tubes: the bars of a small model are thinner than those of a tower."""
 NARROWER, WIDER = tuple(2 ** (-k / 2) for k in range(1, 11)), (2, 4)
 """Other tubes to try, in multiples of the first."""
+OBJECT_MIN = 0.02
+"""Minimum size of an object that narrower tubes search, as a share of the points on no surface. Smaller ones are tufts
+of grass and ends of bars."""
 REST_MIN, KEPT_MIN = 0.2, 0.9
 """Minimum share of the points on no surface that lie on no bar, for wider tubes among them: bars of narrower tubes
 leave less of their object. And the minimum share of the first bars' length inside wider ones that replace them."""
@@ -95,7 +98,7 @@ def _in_narrower_tubes(found: CloudBars, least_m: float, search: TubeSearch) -> 
     and models. The narrowest tube is ``least_m``, or what the distance of the object's points allows."""
     rest, slim = found.steel[found.is_off], found
     number = objects_of(rest, APART * found.tube_m)
-    large = np.flatnonzero(np.bincount(number) > OFF_MIN * len(found.steel))
+    large = np.flatnonzero(np.bincount(number) > OBJECT_MIN * len(found.steel))
     for each in (rest[number == k] for k in large):
         narrowest_m = max(least_m, DX_PER_SPACING * spacing(each, 4))
         tubes = dict.fromkeys(max(multiple * found.tube_m, narrowest_m) for multiple in NARROWER)

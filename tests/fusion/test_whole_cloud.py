@@ -10,7 +10,7 @@ from steelnb.fusion.whole_cloud import bars_of_cloud
 from steelnb.hough.freedom import freedom_of
 from steelnb.metrics.segments import DISTANCE_MAX_M, Match, match_members
 from steelnb.points import voxel_grid
-from tests.lattice import STEEL, TOWER, lattice, on_ground, rods, scanned, sheet, tree
+from tests.lattice import STEEL, TOWER, bare_tree, lattice, on_ground, rods, scanned, sheet, tree
 
 
 def checked(found: CloudBars, members, right: float, has: float, near_m: float = DISTANCE_MAX_M) -> Match:
@@ -236,6 +236,20 @@ def test_a_tower_among_trees_that_reach_into_it_keeps_its_bars():
     rng = np.random.default_rng(3)
     trees = [tree(rng, *place) for place in [(3.0, 0.0), (-2.5, 2.0), (0.0, -3.0)]]
     checked(bars_of_cloud(on_ground(np.concatenate([*trees, STEEL]), 5.0, 400)), TOWER, 0.0, 0.95)
+
+
+@pytest.mark.parametrize("place", [(6.0, 0.0), (2.5, 0.0)], ids=["beside", "reaching into"])
+def test_branches_without_leaves_are_no_bars_and_the_members_among_them_are(place):
+    wood = bare_tree(np.random.default_rng(4), *place)
+    checked(bars_of_cloud(on_ground(np.concatenate([wood, STEEL]), 6.0, 400)), TOWER, 0.9, 1.0)
+
+
+def test_a_mast_with_few_of_a_cloud_s_points_has_its_members():
+    mast = lattice(0.9, 0.3, 0.3, 3) - [4.0, 0.0, 0.0]
+    points = scanned(mast, 150, 0.02, 0.002)
+    assert 0.02 < len(points) / len(STEEL) < 0.05
+    found = bars_of_cloud(on_ground(np.concatenate([STEEL, points]), 6.0, 400))
+    checked(found, np.concatenate([TOWER, mast]), 0.9, 0.8, 0.05)
 
 
 def test_poles_in_high_grass_and_a_fence_before_bushes_are_bars():
