@@ -25,8 +25,8 @@ def main() -> None:
         for seed in (3, 4, 5, 6):
             rng = np.random.default_rng(seed)
             beside, near = ([grown(rng, *each) for each in places] for places in (((5, 0), (-3, 5)), ((3, 0), (-2, 2))))
-            for where, cloud in (("", beside), (" beside a tower", [*beside, STEEL]), (" in a tower", [*near, STEEL])):
-                report(f"{name}{where}, seed {seed}", on_ground(np.concatenate(cloud), 6.0), TOWER, TOWER)
+            for where, parts in (("", beside), (" beside a tower", [*beside, STEEL]), (" in a tower", [*near, STEEL])):
+                report(f"{name}{where}, seed {seed}", on_ground(np.concatenate(parts), 6.0), TOWER, TOWER)
     mast = lattice(4.0, 0.3, 0.3, 13)
     masts = [mast + np.array([4.0 * column, 4.0 * row, 0.0]) for column in range(5) for row in range(5)]
     cloud = on_ground(np.concatenate([scanned(each, 200, 0.02, 0.002) for each in masts]), 20.0, 100)

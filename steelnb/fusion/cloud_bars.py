@@ -106,9 +106,10 @@ class CloudBars:
         order = np.argsort(-bars.count, kind="stable")
         freedom, width_m = np.append(self.freedom, more.freedom), np.append(self.width_m, more.width_m)
         first = self if len(self.bars) else more
-        tubes = {"tube_m": first.tube_m, "typical_m": first.typical_m}
-        narrowest_m = min(self.narrowest_m, more.narrowest_m)
-        joined = replace(self, bars=bars, freedom=freedom, width_m=width_m, narrowest_m=narrowest_m, **tubes)
+        joined = replace(
+            self, bars=bars, freedom=freedom, width_m=width_m, tube_m=first.tube_m, typical_m=first.typical_m,
+            narrowest_m=min(self.narrowest_m, more.narrowest_m),
+        )  # fmt: skip
         return joined.take(order)
 
     def of_structures(self) -> "CloudBars":

@@ -24,12 +24,12 @@ up to 0.5."""
 CLEAR_MIN, MOST = 0.9, 0.75
 """Where bars explain less: the minimum share of the points around a bar's axis, in the median along it, by which it is
 clear of other things; and the minimum share of the length of bars that are. Some branches of a tree are clear."""
-ALIKE_RAD, ALIKE_MIN = math.radians(5.0), 8.0
-"""Where too few bars end at others: angle within which two bars are parallel, and the minimum number of parallel pairs,
-in multiples of that of random directions. Members of a structure have few directions (11 to 260), branches do not (0
-to 6)."""
-BRANCHES = 8
-"""Minimum number of bars whose directions tell a tree: a pole with some arms has no two alike either."""
+ALIKE_RAD, ALIKE_MIN = math.radians(3.0), 14.0
+"""Angle within which two bars are parallel, and the minimum number of parallel pairs, in multiples of that of random
+directions. Structures that end in the air have 18 to 260, trees 0 to 12; where members lean, a structure has fewer."""
+BRANCHES, LOOSE_MAX = 20, 0.5
+"""Minimum number of bars in all directions that are a tree: there are poles with many arms. And the maximum share of
+them that end at others: trees have 0.1 to 0.2, and woods 0.4 to 0.5."""
 ALONE = 2
 """As many bars or fewer, such as a pole in a bush, need only stand free."""
 STEP_M = 0.3
@@ -65,7 +65,7 @@ def in_structures(
 
     Bars that hang together are a structure if they are at most `ALONE`, if most of the points around them lie on bars,
     if that is so along most of their length, or if most of them end at other bars or at surfaces. Trees without leaves
-    stand as clear, but their bars are `prefabricated` only where a structure stands among them.
+    stand as clear: bars that are not `prefabricated` must end at others, too.
 
     ``points (N, 3)``: those on no surface; ``on_bar (N,)``: whether a point lies on a bar; ``surface (M, 3)``: the
     points on surfaces.
@@ -89,29 +89,36 @@ def in_structures(
     for bar in np.flatnonzero(~is_structure[own]):
         on, near = (tree.query_ball_point(axes[bar], AROUND * tube_m, return_length=True) for tree in (steel, every))
         clear[bar] = np.median(on / np.maximum(near, 1)) >= CLEAR_MIN
+    is_held = np.asarray(ends.all(axis=1))
     held, length_m, clear_m = (
-        np.bincount(own, weight, len(count)) for weight in (ends.all(axis=1), bars.length, bars.length * clear)
+        np.bincount(own, weight, len(count)) for weight in (is_held, bars.length, bars.length * clear)
     )
     is_structure |= (held >= HELD_MIN * count) | (clear_m >= MOST * length_m)
     belongs = is_structure[own]
-    for group in np.flatnonzero(is_structure & (held < MOST * count) & (count >= BRANCHES)):
+    for group in np.flatnonzero(is_structure & (count >= BRANCHES)):
         together = np.flatnonzero(own == group)
-        belongs[together] = prefabricated(bars.take(together), at_surface[together], tube_m)
+        loose = together[~prefabricated(bars.take(together), at_surface[together], tube_m)]
+        belongs[loose] = len(loose) < BRANCHES or is_held[loose].mean() >= LOOSE_MAX
     return belongs
 
 
 def prefabricated(bars: Segments, at_surface: NDArray[np.bool_], tube_m: float) -> NDArray[np.bool_]:
-    """Whether each bar has one of the few directions of a structure, or ends at those that have or at surfaces,
-    ``at_surface (B, 2)``: ``(B,)``. All have, unless hardly more are parallel than of random directions."""
+    """Whether each bar has one of a structure's few directions, stands on a surface, is part of a frame, or ends at
+    such bars: ``(B,)``. Bars of a frame end at each other, or at surfaces, ``at_surface (B, 2)``. All bars are
+    prefabricated unless hardly more are parallel than of random directions."""
     tree = cKDTree(np.concatenate([bars.direction, -bars.direction]))
     alike = tree.query_ball_point(bars.direction, 2 * math.sin(0.5 * ALIKE_RAD), return_length=True) - 1
     by_chance = (1 - math.cos(ALIKE_RAD)) * (len(bars) - 1)
     if alike.mean() >= ALIKE_MIN * by_chance:
         return np.ones(len(bars), dtype=bool)
-    is_so = alike >= max(ALONE, by_chance + 3 * math.sqrt(by_chance))
-    for _ in range(len(bars)):
-        grown = is_so | (at_surface | at_bars(bars, tube_m, is_so)).all(axis=1)
-        if (grown == is_so).all():
-            break
-        is_so = grown
+
+    def held_by(these: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        return np.asarray((at_surface | at_bars(bars, tube_m, these)).all(axis=1))
+
+    frame = np.ones(len(bars), dtype=bool)
+    while (frame & ~(held := held_by(frame))).any():
+        frame &= held
+    is_so = frame | at_surface.any(axis=1) | (alike >= max(ALONE, by_chance + 3 * math.sqrt(by_chance)))
+    while (~is_so & (held := held_by(is_so))).any():
+        is_so |= held
     return is_so
