@@ -85,11 +85,12 @@ def in_structures(
     at_surface, clear = np.zeros((len(bars), 2), dtype=bool), np.zeros(len(bars), dtype=bool)
     if len(surface):
         at_surface = (cKDTree(surface).query(np.stack([bars.start, bars.end]))[0] <= REACH_M / TUBE_M * tube_m).T
-    ends, every = at_surface | at_bars(bars, tube_m), cKDTree(points)
-    for bar in np.flatnonzero(~is_structure[own]):
+    is_held = np.asarray((at_surface | at_bars(bars, tube_m)).all(axis=1))
+    doubtful = np.flatnonzero(~is_structure[own])
+    every = cKDTree(points) if len(doubtful) else steel
+    for bar in doubtful:
         on, near = (tree.query_ball_point(axes[bar], AROUND * tube_m, return_length=True) for tree in (steel, every))
         clear[bar] = np.median(on / np.maximum(near, 1)) >= CLEAR_MIN
-    is_held = np.asarray(ends.all(axis=1))
     held, length_m, clear_m = (
         np.bincount(own, weight, len(count)) for weight in (is_held, bars.length, bars.length * clear)
     )
@@ -118,7 +119,7 @@ def prefabricated(bars: Segments, at_surface: NDArray[np.bool_], tube_m: float) 
     frame = np.ones(len(bars), dtype=bool)
     while (frame & ~(held := held_by(frame))).any():
         frame &= held
-    is_so = frame | at_surface.any(axis=1) | (alike >= max(ALONE, by_chance + 3 * math.sqrt(by_chance)))
-    while (~is_so & (held := held_by(is_so))).any():
-        is_so |= held
-    return is_so
+    is_member = frame | at_surface.any(axis=1) | (alike >= max(ALONE, by_chance + 3 * math.sqrt(by_chance)))
+    while (~is_member & (held := held_by(is_member))).any():
+        is_member |= held
+    return is_member
