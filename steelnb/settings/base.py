@@ -24,7 +24,7 @@ def _usable(value: float) -> float:
 Finite = Annotated[float, Field(allow_inf_nan=False), AfterValidator(_usable)]
 Positive = Annotated[Finite, Field(gt=0)]
 NotNegative = Annotated[Finite, Field(ge=0)]
-Edge = Annotated[Finite, Field(ge=1e-4)]
+VoxelEdge = Annotated[Finite, Field(ge=1e-4)]
 """Edge of voxels, metres. With smaller ones a flight of 100 m has more voxels a side than an index counts."""
 DURATION_MAX_S = 14_400.0
 """Four hours. A flight is limited because its poses and IMU samples are held in memory."""

@@ -8,7 +8,7 @@ from pydantic import AfterValidator, Field, ValidationInfo, model_validator
 
 from steelnb.core.checks import quoted
 from steelnb.core.errors import InputError
-from steelnb.settings.base import Edge, NotNegative, OrNone, Positive, Settings
+from steelnb.settings.base import NotNegative, OrNone, Positive, Settings, VoxelEdge
 from steelnb.settings.presets import method_preset, sensor_preset
 from steelnb.settings.sensors import ImuSettings
 from steelnb.settings.stages import FusionSettings, HoughSettings, PreprocessSettings
@@ -91,7 +91,7 @@ class MapSettings(OdometrySettings):
     """Registration to voxel maps: maximum correspondence distance, and edge of a voxel of the map."""
 
     max_correspondence_m: Positive = 0.3
-    map_voxel_m: Edge = 0.1
+    map_voxel_m: VoxelEdge = 0.1
 
     @property
     @abstractmethod

@@ -6,7 +6,7 @@ from typing import Annotated, Self
 from pydantic import Field
 
 from steelnb.core.errors import InputError
-from steelnb.settings.base import Edge, Finite, NotNegative, Positive, Probability, Settings
+from steelnb.settings.base import Finite, NotNegative, Positive, Probability, Settings, VoxelEdge
 
 THICKNESS_MIN, THICKNESS_MAX = 0.04, 0.2
 """Bounds of the thickness of angle sections, a share of their flanges."""
@@ -17,7 +17,7 @@ class PreprocessSettings(Settings):
 
     crop_m: Positive = 6.0
     floor_m: Finite = 0.3
-    voxel_leaf_m: Edge = 0.05
+    voxel_leaf_m: VoxelEdge = 0.05
 
     def lowered(self, by_m: float) -> Self:
         """These settings for a world whose zero is ``by_m`` higher."""
