@@ -65,7 +65,8 @@ def in_structures(
 
     Bars that hang together are a structure if they are at most `ALONE`, if most of the points around them lie on bars,
     if that is so along most of their length, or if most of them end at other bars or at surfaces. Trees without leaves
-    stand as clear: bars that are not `prefabricated` must end at others, too.
+    stand as clear: bars that are not `prefabricated` must end at others, too. Pieces in which few do are one with those
+    that points connect them to.
 
     ``points (N, 3)``: those on no surface; ``on_bar (N,)``: whether a point lies on a bar; ``surface (M, 3)``: the
     points on surfaces.
@@ -79,7 +80,7 @@ def in_structures(
         np.linspace(start, end, 3 + int(length / STEP_M))[1:-1]
         for start, end, length in zip(bars.start, bars.end, bars.length, strict=True)
     ]
-    own = np.array([np.bincount(number[steel.query(axis)[1]]).argmax() for axis in axes])
+    own = _most_at(axes, steel, number)
     count = np.bincount(own, minlength=len(around))
     is_structure = (count <= ALONE) | (np.bincount(number) >= EXPLAINED_MIN * around)
     at_surface, clear = np.zeros((len(bars), 2), dtype=bool), np.zeros(len(bars), dtype=bool)
@@ -96,11 +97,21 @@ def in_structures(
     )
     is_structure |= (held >= HELD_MIN * count) | (clear_m >= MOST * length_m)
     belongs = is_structure[own]
-    for group in np.flatnonzero(is_structure & (count >= BRANCHES)):
+    is_ragged, is_near = held < LOOSE_MAX * count, np.isfinite(distance)
+    if is_ragged.any():  # between two pieces of a tree, a branch may have too few points for a bar
+        ragged = points[is_near][is_ragged[number[nearest[is_near]]]]
+        piece = _most_at(axes, cKDTree(ragged), objects_of(ragged, APART * tube_m))
+        own = np.where(is_ragged[own], len(count) + piece, own)
+    for group in np.flatnonzero(np.bincount(own) >= BRANCHES):
         together = np.flatnonzero(own == group)
         loose = together[~prefabricated(bars.take(together), at_surface[together], tube_m)]
-        belongs[loose] = len(loose) < BRANCHES or is_held[loose].mean() >= LOOSE_MAX
+        belongs[loose] &= len(loose) < BRANCHES or is_held[loose].mean() >= LOOSE_MAX
     return belongs
+
+
+def _most_at(axes: list[Array], points: cKDTree, number: IntArray) -> IntArray:
+    """The object that most points of each axis are nearest to ``(B,)``; ``number (N,)``: that of each point."""
+    return np.array([np.bincount(number[points.query(axis)[1]]).argmax() for axis in axes])
 
 
 def prefabricated(bars: Segments, at_surface: NDArray[np.bool_], tube_m: float) -> NDArray[np.bool_]:

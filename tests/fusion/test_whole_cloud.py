@@ -238,10 +238,11 @@ def test_a_tower_among_trees_that_reach_into_it_keeps_its_bars():
     checked(bars_of_cloud(on_ground(np.concatenate([*trees, STEEL]), 5.0, 400)), TOWER, 0.0, 0.95)
 
 
-@pytest.mark.parametrize("place", [(6.0, 0.0), (2.5, 0.0)], ids=["beside", "reaching into"])
-def test_branches_without_leaves_are_no_bars_and_the_members_among_them_are(place):
-    wood = bare_tree(np.random.default_rng(3), *place)
-    checked(bars_of_cloud(on_ground(np.concatenate([wood, STEEL]), 6.0, 400)), TOWER, 0.85, 1.0)
+@pytest.mark.parametrize("places", [[(2.5, 0.0)], [(5.0, 0.0), (-3.0, 5.0)]], ids=["reaching into", "in pieces"])
+def test_branches_without_leaves_are_no_bars_and_the_members_among_them_are(places):
+    rng = np.random.default_rng(3)
+    wood = [bare_tree(rng, *place) for place in places]
+    checked(bars_of_cloud(on_ground(np.concatenate([*wood, STEEL]), 6.0, 400)), TOWER, 0.85, 1.0)
 
 
 def test_a_pole_with_many_arms_is_no_tree():
