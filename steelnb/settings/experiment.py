@@ -105,8 +105,8 @@ class ExperimentSettings(Settings):
         """The settings of a flight, noise, method, sensor and tower, named as in the notebooks.
 
         By default, the flight's preset determines the tower and the duration, and a drone with an IMU rests for
-        `REST_S` first. ``overrides`` changes single settings,
-        such as ``{"tof.rate_hz": 10.0, "hough.dx_m": 0.05}``. Raises `InputError`.
+        `REST_S` first. ``overrides`` changes single settings, such as ``{"tof.rate_hz": 10.0, "hough.dx_m": 0.05}``.
+        Raises `InputError`.
 
         >>> settings = ExperimentSettings.preset("loops", method="best", overrides={"tof.rate_hz": 10.0})
         >>> settings.tof.rate_hz, settings.odometry.dof

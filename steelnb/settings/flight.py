@@ -27,7 +27,7 @@ class FlightSettings(Settings):
     level by level, or to fly a helix ``around`` the structure.
 
     ``still_s``: seconds at rest at the first point, without wind, before the flight; they count towards ``duration_s``,
-    and a shorter flight only stands. With an IMU, whose readings then tell the bias of the gyroscope,
+    which is longer. With an IMU, whose readings then tell the bias of the gyroscope,
     `ExperimentSettings.preset` lets ``zigzag`` and ``loops`` begin with `REST_S`. ``gust_sigma_m_s``: standard
     deviation of the gusts along each axis."""
 
@@ -61,6 +61,8 @@ class FlightSettings(Settings):
             )
         if self.still_s and self.trajectory == "planned":
             raise ValueError(f"still_s = {self.still_s:g}: a pilot steers a planned flight from the start; expected 0")
+        if self.duration_s <= self.still_s:
+            raise ValueError(f"still_s = {self.still_s:g}: expected less than the flight's {self.duration_s:g} s")
         end_s = self.still_s + sum(seconds)
         if self.waypoints and self.duration_s > end_s + 1e-9:
             raise ValueError(f"flight of {self.duration_s:g} s: its waypoints end after {end_s:g} s")

@@ -106,7 +106,8 @@ def test_sigmas_of_a_calibration_stretch_the_path_from_its_first_pose():
 
 
 def test_a_told_calibration_changes_estimates_but_not_the_flight():
-    settings = ExperimentSettings.preset("zigzag", "random-walk", "best", "starling2-honest", seed=13, duration_s=1.0)
+    short = {"seed": 13, "duration_s": 1.0, "overrides": {"flight.still_s": 0.0}}
+    settings = ExperimentSettings.preset("zigzag", "random-walk", "best", "starling2-honest", **short)
     told = settings.override(measure_calibration(settings.tof, 13))
     flown, truth = experiment.simulate(settings)
     again, _ = experiment.simulate(told)

@@ -31,7 +31,7 @@ def shell(radius_m: float, count: int = 2000) -> np.ndarray:
     ("trajectory", "sensor"), [("zigzag", "starling2"), ("loops", "report-4cm"), ("loops", "starling2-honest")]
 )
 def test_before_the_tower_all_settings_are_the_presets(trajectory, sensor):
-    made = {"sensor": sensor, "seed": 12, "duration_s": 2.0, "overrides": {"tof.columns": 90, "tof.rows": 120}}
+    made = {"sensor": sensor, "seed": 12, "duration_s": 3.2, "overrides": {"tof.columns": 90, "tof.rows": 120}}
     flight, _ = experiment.simulate(ExperimentSettings.preset(trajectory, "random-walk+tilt", **made))
     for method in ("best", "faces", "least_squares"):
         assert recording_settings(method, sensor, scene=Scene.of(flight)) == recording_settings(method, sensor)
