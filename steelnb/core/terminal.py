@@ -1,6 +1,7 @@
 """What a command tells its user on a terminal: errors, warnings and progress."""
 
 import io
+import logging
 import os
 import sys
 import warnings
@@ -48,6 +49,7 @@ def prepare_terminal() -> None:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")
+    logging.getLogger("matplotlib").setLevel(logging.ERROR)  # it says that a home is read-only, where caches are kept
     warnings.showwarning = lambda message, *_: warn(str(message))
 
 

@@ -1,6 +1,5 @@
 """Flights recorded in bags: which topics, clocks and frames, and the scans one by one."""
 
-import itertools
 from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import suppress
@@ -21,12 +20,10 @@ from steelnb.io.headers import Headers, frame_name, whole_path
 from steelnb.io.inertial import readings_of
 from steelnb.io.opened import Opened
 from steelnb.io.scanning import Raw
-from steelnb.io.topics import PoseSource, camera_topic, pose_source, scan_topic
+from steelnb.io.topics import PoseSource, camera_topic, imu_topics, pose_source, scan_topic
 from steelnb.io.trajectories import check_units, read_trajectory, trajectory_of
 from steelnb.io.transforms import Tree, check_order, is_body_name, is_world_name
 
-LOOKED_AT = 10
-"""Number of messages that tell what an IMU measures."""
 BURST_S = 0.1
 """Of the poses within this time, the first tells the unit."""
 
@@ -61,12 +58,14 @@ class _Bag:
         self.bag, self.clock, self.headers = container, clock, Headers(container, clock.by_log)
 
     def open(self, scans: str | None, poses: str | None, imu: str | None, mount: Array | None) -> Opened:
-        topic, imus = scan_topic(self.bag, scans), self._imu_topics(imu)
+        topic, imus = scan_topic(self.bag, scans), imu_topics(self.bag, imu)
         is_depth = self.bag.types[topic] == ros.IMAGE
         source = pose_source(self.bag, poses, topic)
         self.headers.read(topic, *source.topics, *source.tf, *imus, *(self.bag.of_type(ros.CAMERA) if is_depth else ()))
         cameras, tree = self._cameras(topic) if is_depth else [], self.headers.tree()
         stamp_s, log_s = self.headers.scan_stamps(topic)
+        if not self.clock.offset_s:
+            self.headers.check_clocks(topic)
         stamp_s += self.clock.offset_s
         for frame, text in self.headers.unstamped.items():
             if any(each == frame or tree.between(frame, each) for each in set(self.headers.scan_frames)):
@@ -83,7 +82,7 @@ class _Bag:
         facts |= {"mount": frames.source, "frames": frames.chain}
         tried, readings = list[str](), None
         for name in imus:
-            if readings is None and name in self.headers.frame_of:
+            if readings is None and name in self.headers.frames_of:
                 tried, readings = [*tried, name], self._imu(name, tree, body, prior)
         if left := [name for name in self.bag.of_type(ros.IMU) if name not in tried and not imu]:
             self.headers.notes[f"inertial readings of {', '.join(left)} are left out (--imu TOPIC names an IMU)"] = None
@@ -104,6 +103,8 @@ class _Bag:
     def _poses(self, source: PoseSource, tree: Tree, sensor: str) -> tuple[Trajectory, str, str, str]:
         """Poses of the drone, names of the world and of the drone's frame, and the source in words."""
         world, body, topic = "", "", source.topics[0] if source.topics else ""
+        for each in source.topics if source.pair else ():
+            self._add_objects(each, tree, sensor)
         if source.uses_tf:
             try:
                 world, body = map(tree.resolve, source.pair or check_order(*tree.drone(sensor)))
@@ -115,11 +116,15 @@ class _Bag:
             found, said = read_trajectory(source.file, self.headers.skipped), source.file
         elif self.bag.types[topic] == ros.PATH:
             found, world, said = self._path(topic)
-        elif topic in self.headers.frame_of:
-            (world, body), said = check_order(*self.headers.frame_of[topic]), topic
-            found = trajectory_of(self.bag.path, self.headers.rows(topic, 7, "pose"), self.headers.skipped)
-        else:
+        elif not (pairs := self.headers.pairs(topic)):
             raise self.headers.faults[topic]
+        elif len(pairs) == 1:
+            (world, body), said, found = check_order(*pairs[0]), topic, self._object(topic, pairs[0])
+        else:  # as those of tf
+            self._add_objects(topic, tree, sensor)
+            world, body = check_order(*tree.drone(sensor))
+            found, said = tree.poses(world, body), f"{topic} {world} → {body}"
+            self.headers.notes[f"{topic} has poses of several frames; those of {body} in {world} are used"] = None
         if not body and not is_body_name(body := tree.body_of(sensor)):
             self.headers.notes[f"poses are taken for those of {body}, to which {sensor} is fixed"] = None
         body = tree.resolve(body)
@@ -130,6 +135,17 @@ class _Bag:
             tree.add(world, body, found)
             tree.move_still([(world, body)])
         return self._turned(found, world, body), world, body, said
+
+    def _object(self, topic: str, pair: tuple[str, str]) -> Trajectory:
+        rows = self.headers.of_object(topic, pair, 7, "pose")
+        return trajectory_of(self.bag.path, rows, self.headers.skipped)
+
+    def _add_objects(self, topic: str, tree: Tree, sensor: str) -> None:
+        """Add the poses of all objects on a topic to the transforms."""
+        for pair in self.headers.pairs(topic):
+            parent, child = pair[0], pair[1] or tree.body_of(sensor)
+            if (parent, child) not in tree.edges:
+                tree.add(parent, child, self._object(topic, pair))
 
     def _turned(self, poses: Trajectory, world: str, body: str) -> Trajectory:
         """Poses of the drone's axes, z up, from those of a frame in a frame of the world."""
@@ -159,7 +175,8 @@ class _Bag:
     def _cameras(self, topic: str) -> Cameras:
         """The cameras of depth images, and notes on what is left out or contradicts."""
         names = (topic, *self.headers.cameras)
-        cameras = self.headers.cameras[camera_topic(self.bag, topic, {n: self.headers.frame_of[n][0] for n in names})]
+        frame_of = {name: self.headers.pairs(name)[0][0] for name in names}
+        cameras = self.headers.cameras[camera_topic(self.bag, topic, frame_of)]
         if "rect" in topic.rpartition("/")[2]:
             cameras = [(begin_s, camera.rectified()) for begin_s, camera in cameras]
         if len(cameras) > 1:
@@ -174,30 +191,12 @@ class _Bag:
                 self.headers.notes |= dict.fromkeys(filter(None, ros.camera_matrix(camera, *self.headers.shape)[1:]))
         return cameras
 
-    def _imu_topics(self, name: str | None) -> list[str]:
-        """The topic of an IMU of this name, else those whose readings are all measured."""
-        if name:
-            return [self.bag.choose("an IMU", name, self.bag.of_type(ros.IMU))]
-        measured = {topic: self._measured(topic) for topic in self.bag.of_type(ros.IMU)}
-        parts = set().union(*(own for own in measured.values() if "both" in own))
-        return [topic for topic, own in measured.items() if "both" in own and own == parts]
-
-    def _measured(self, topic: str) -> set[str]:
-        """What an IMU measures by its first messages: −1 in a covariance says that it does not measure ``both``, and
-        zeros say nothing but beside another topic that has the part."""
-        found = {"both"}
-        for raw in itertools.islice(self.bag.messages(topic), LOOKED_AT):
-            with suppress(InputError):
-                one = self.bag.decode(raw)
-                parts = {"force": one.linear_acceleration, "rate": one.angular_velocity}
-                found |= {name for name, part in parts.items() if any(ros.numbers(part))}
-                if -1 in (one.angular_velocity_covariance[0], one.linear_acceleration_covariance[0]):
-                    found -= {"both"}
-        return found
-
     def _imu(self, topic: str, tree: Tree, body: str, poses: Trajectory) -> Imu | None:
         """Inertial samples in the axes of the drone, if a transform relates them; None if none is of use."""
-        rows, frame = self.headers.rows(topic, 6, "inertial sample"), self.headers.frame_of[topic][0]
+        pair, *others = self.headers.pairs(topic)
+        rows, frame = self.headers.of_object(topic, pair, 6, "inertial sample"), pair[0]
+        if others:
+            self.headers.notes[f"{topic} has readings of several frames; those of {frame} are used"] = None
         place = tree.place(body, tree.resolve(frame, body), rows[:1, 0])
         T_drone_imu = drone_axes(frame).T if place is None else drone_axes(body).T @ place.T_target_source[0]
         found = readings_of(rows, T_drone_imu[:3, :3], topic, poses, self.headers.notes, self.headers.skipped)

@@ -13,6 +13,8 @@ FAR_S, FAR_MADS = 5.0, 10.0
 """A stamp is wrong if it differs from the time of recording by this much more, or less, than usual: seconds, and median
 absolute deviations, which allow for a simulated clock of another speed."""
 
+ONE_CLOCK = "expected one clock (--time-offset {} shifts scans{})"
+OF_BAG = ", --clock bag takes the times of recording"
 PARTS_SHARE = 0.3
 """Parts of a scan are recorded within this share of the time to the next scan."""
 

@@ -113,6 +113,7 @@ def read_points(path: Path | str) -> Array:
         if not points.size:
             raise ValueError("no points")
         largest = np.maximum.reduce([np.abs(points[..., axis]) for axis in range(3)])
+        largest[largest == np.finfo(np.float32).max] = np.nan  # no return
         tiny = (largest > 0) & (largest < COORDINATE_MIN_M)
         beyond = np.isfinite(largest) & (largest > COORDINATE_MAX_M)
         if len(np.unique(largest[tiny])) > 1:  # a single value stands for no return
@@ -130,7 +131,8 @@ def _read_npy(path: Path) -> Any:
         stored = np.load(path, mmap_mode="r", allow_pickle=False)
     except Exception:  # NumPy evaluates the header, so that damage raises anything
         raise ValueError("damaged, truncated, or not of numbers; expected an array by numpy.save") from None
-    if not isinstance(stored, np.ndarray) or (stored.dtype.names is None and stored.dtype.kind not in "fiu"):
+    is_picture = isinstance(stored, np.ndarray) and stored.dtype in ("u1", "i1")
+    if not isinstance(stored, np.ndarray) or is_picture or (not stored.dtype.names and stored.dtype.kind not in "fiu"):
         raise ValueError(f"{getattr(stored, 'dtype', 'an archive')}; expected numbers")
     if stored.dtype.names is not None:
         field = {name.lower(): name for name in stored.dtype.names}

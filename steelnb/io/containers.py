@@ -136,8 +136,11 @@ class Container:
         kinds = {topic: kind.rpartition("/")[2] for topic, kind in sorted(self.types.items())}
         found = f"no topic {name!r}" if name else f"no {role}" if not candidates else f"several topics of {role}"
         found = f"{name} is {kinds[name]}" if name in kinds else found
-        topics = [f"{topic} ({kind})" for topic, kind in kinds.items() if topic in candidates or not candidates]
-        raise InputError(f"{self.path}: {found}; expected one topic of {role}, or its name, among {', '.join(topics)}")
+        if not candidates:
+            topics = ", ".join(f"{topic} ({kind})" for topic, kind in kinds.items())
+            raise InputError(f"{self.path}: {found}; expected one, beside {topics}")
+        topics = ", ".join(f"{topic} ({kinds[topic]})" for topic in sorted(candidates))
+        raise InputError(f"{self.path}: {found}; expected one topic of {role}, or its name, among {topics}")
 
     def messages(self, *topics: str) -> Iterator[Raw]:
         """Messages of some topics in the order in which they were recorded; those of one part as in its file."""

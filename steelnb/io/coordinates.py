@@ -13,8 +13,9 @@ STRAY_M, STRAY_DISTANCES, STRAY_SHARE = 1e4, 1000.0, 0.01
 such as zeros among the coordinates of a survey."""
 STEP_MAX_M, FAR_FROM_ZERO_M, ROUNDED_POINTS = 0.02, 1e4, 100
 """Largest step between coordinates; those below the second are left as they are, as are few points."""
-DEGREE_EXTENTS, DEGREES_MIN = 1e4, 1e-6
-"""Coordinates in degrees extend so many times less than heights in metres, as no tube does, and more than rounding."""
+DEGREE_EXTENTS, DEGREES_MIN, DEGREES_FROM_ZERO = 1e3, 1e-6, 1500.0
+"""Coordinates in degrees extend so many times less than heights in metres, and more than rounding; and they are so many
+times as far from zero, as only a tube is that is not at the origin."""
 
 
 def is_stray(points: Array) -> NDArray[np.bool_]:
@@ -44,6 +45,7 @@ def check_degrees(path: Path | str, points: Array) -> None:
     """Raise `InputError` if x and y can be degrees, and extend a thousand times less than z."""
     extent = np.ptp(points, axis=0)
     in_degrees = bool((np.abs(points[:, :2]) <= (180, 90)).all()) or bool((np.abs(points[:, :2]) <= (90, 180)).all())
-    if in_degrees and DEGREES_MIN < extent[:2].max() < extent[2] / DEGREE_EXTENTS:
+    is_far = float(np.abs(points[:, :2]).max()) > DEGREES_FROM_ZERO * extent[:2].max()
+    if in_degrees and is_far and DEGREES_MIN < extent[:2].max() < extent[2] / DEGREE_EXTENTS:
         spans = f"x and y extend over {extent[0]:.2g} and {extent[1]:.2g}, z over {extent[2]:.3g}"
         raise InputError(f"{path}: {spans}, as with longitude and latitude in degrees; expected metres")

@@ -63,4 +63,11 @@ def decoded(data: bytes) -> bytes:
         raise ValueError(what)
     if (at := data.find(b"\0")) >= 0:
         raise ValueError(f"byte {at} is zero; expected plain text")
-    return data
+    return data if _is_utf8(data) else data.decode("cp1252", "replace").encode()
+
+
+def _is_utf8(data: bytes) -> bool:
+    try:
+        return data.isascii() or bool(data.decode())
+    except UnicodeDecodeError:
+        return False

@@ -89,6 +89,12 @@ def sensor_frames(
             f"scans are in {main!r}, a frame of the world, which nothing relates to {body!r}; expected scans in the "
             "frame of the sensor, or --mount if they are"
         )
+    spaces = {each.partition("/")[0] for each in (body, main) if "/" in each}
+    if main not in placed and mount is None and len(spaces) > 1:
+        raise InputError(
+            f"scans are in {main!r}, poses of {body!r}, and nothing relates them: of two drones by their names; "
+            "expected those of one, or --mount"
+        )
     if main not in placed:
         known[frame == main] = True
         T_mount, source = np.eye(4), f"no tf_static from {body} to {main or 'the sensor'}: identity assumed"

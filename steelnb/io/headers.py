@@ -4,42 +4,55 @@ from array import array
 from collections import Counter, defaultdict
 from collections.abc import Sequence
 from contextlib import suppress
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from steelnb.core.errors import InputError
 from steelnb.core.types import Array
 from steelnb.io import messages as ros
-from steelnb.io.clocks import far_stamps, rising_stamps
+from steelnb.io.clocks import FAR_S, OF_BAG, ONE_CLOCK, far_stamps, rising_stamps
 from steelnb.io.containers import Container
 from steelnb.io.layouts import cloud_layout, depth_layout
 from steelnb.io.scanning import Raw
 from steelnb.io.trajectories import trajectory_of
 from steelnb.io.transforms import STILL, Tree
 
+STEADY_S = 1.0
+"""Median deviation of stamps from the times of recording, below which these compare two clocks."""
+STEP_SHARE_MIN = 0.05
+"""Minimum interval of stamps, as a share of that of the times of recording; a simulation may be slow."""
 SAME_PLACE_M = 0.05
 """Largest distance of poses of one stamp in messages of one path."""
+
+
+class Link(NamedTuple):
+    """A transform of tf_static, which ``is_static`` says, or of tf."""
+
+    parent: str
+    child: str
+    is_static: bool
 
 
 class Headers:
     """Stamps and frames of the scans, and the values of small messages; ``by_log``: stamps are times of recording.
 
-    ``frame_of``: frame and child frame of each topic; ``scan_frames``: frame of each scan; ``repeated``: numbers of
-    those with the stamp, frame and data of one before; ``shape``: rows and columns of the first; ``cameras`` of topics,
-    each with the stamp from which it holds; ``longest``: the longest Path, the last of its length; ``earlier_paths``:
-    rows of stamp and pose of some before it that did not grow; ``notes`` on what contradicted itself; ``faults``: of
-    each topic the first message that cannot be decoded; ``skipped``: counts of what is left out; ``unstamped``: frames
-    on moving transforms without stamps, and a text on each.
+    ``frames_of``: frame and child frame of the messages of each topic; ``scan_frames``: frame of each scan;
+    ``repeated``: numbers of those with the stamp, frame and data of one before; ``shape``: rows and columns of the
+    first; ``cameras`` of topics, each with the stamp from which it holds; ``longest``: the longest Path, the last of
+    its length; ``earlier_paths``: rows of stamp and pose of some before it that did not grow; ``notes`` on what
+    contradicted itself; ``faults``: of each topic the first message that cannot be decoded; ``skipped``: counts of what
+    is left out; ``unstamped``: frames on moving transforms without stamps, and a text on each.
     """
 
     def __init__(self, bag: Container, by_log: bool) -> None:
         self._bag, self._by_log = bag, by_log
         self._table: dict[Any, array[float]] = defaultdict(lambda: array("d"))
-        self.frame_of: dict[str, tuple[str, str]] = {}
+        self.frames_of: dict[str, Counter[tuple[str, str]]] = defaultdict(Counter)
         self.scan_frames: list[str] = []
         self.repeated: set[int] = set()
         self._of_stamp: list[Any] = []
+        self._late_s = array("d")
         self.shape: tuple[int, int] | None = None
         self.cameras: dict[str, list[tuple[float, ros.CameraInfo]]] = defaultdict(list)
         self.longest: Raw | None = None
@@ -72,25 +85,31 @@ class Headers:
     def _store(self, raw: Raw, message: Any, is_scan: bool) -> None:
         if raw.kind in ros.TF:
             for each in message.transforms:
-                key = frame_name(each.header.frame_id), frame_name(each.child_frame_id), raw.topic.endswith("tf_static")
-                self._table[key].extend((*self.times(raw, each), *ros.pose_numbers(each, ros.TRANSFORM)))
+                names = frame_name(each.header.frame_id), frame_name(each.child_frame_id)
+                key = Link(*names, raw.topic.endswith("tf_static"))
+                stamp_s, log_s = self.times(raw, each)
+                self._table[key].extend((stamp_s, log_s, *ros.pose_numbers(each, ros.TRANSFORM)))
+                self._late_s.extend([] if key.is_static else [stamp_s - log_s])
             return
-        frame = frame_name(message.header.frame_id)
-        self.frame_of[raw.topic] = frame, frame_name(getattr(message, "child_frame_id", ""))
+        pair = frame_name(message.header.frame_id), frame_name(getattr(message, "child_frame_id", ""))
+        self.frames_of[raw.topic][pair] += 1
         if raw.kind == ros.CAMERA:
             camera, so_far = ros.camera_of(message), self.cameras[raw.topic]
             if not so_far or not camera.equals(so_far[-1][1]):
                 so_far.append((self.times(raw, message)[0], camera))
             return
-        self._table[raw.topic].extend(self.times(raw, message))
+        table = self._table[raw.topic if is_scan else (raw.topic, pair)]
+        stamp_s, log_s = self.times(raw, message)
+        table.extend((stamp_s, log_s))
         if is_scan:
             self._compare(message)
-            self.scan_frames.append(frame)
+            self.scan_frames.append(pair[0])
             self._look_at(message, raw.kind)
         elif raw.kind == ros.IMU:
-            self._table[raw.topic].extend(ros.numbers(message.linear_acceleration, message.angular_velocity))
+            table.extend(ros.numbers(message.linear_acceleration, message.angular_velocity))
         else:
-            self._table[raw.topic].extend(ros.pose_numbers(message, raw.kind))
+            table.extend(ros.pose_numbers(message, raw.kind))
+            self._late_s.append(stamp_s - log_s)
 
     def times(self, raw: Raw, message: Any) -> tuple[float, float]:
         """The stamp that counts and the time of recording, seconds."""
@@ -127,9 +146,20 @@ class Headers:
         self.shape = self.shape or layout.shape
         self.notes |= dict.fromkeys(layout.notes)
 
-    def rows(self, key: Any, values: int, what: str) -> Array:
-        """Rows of stamp and values of messages whose stamps are right."""
-        rows = np.array(self._table[key]).reshape(-1, values + 2)
+    def pairs(self, topic: str) -> list[tuple[str, str]]:
+        """Frame and child frame of each object on a topic, the one with most messages first. Empty names, such as
+        those of the first messages, are of any."""
+        found = [pair for pair, _ in self.frames_of[topic].most_common()]
+        return [pair for pair in found if not any(_is_less(pair, each) for each in found)]
+
+    def of_object(self, topic: str, pair: tuple[str, str], values: int, what: str) -> Array:
+        """`rows` of the messages of a topic that are about one of its `pairs`."""
+        same = [each for each in self.frames_of[topic] if each == pair or _is_less(each, pair)]
+        rows = np.concatenate([np.array(self._table[topic, each]).reshape(-1, values + 2) for each in same])
+        return self._right(rows[np.argsort(rows[:, 1], kind="stable")] if len(same) > 1 else rows, what)
+
+    def _right(self, rows: Array, what: str) -> Array:
+        """Rows of stamp and values, of rows of stamp, time of recording and values, where stamps are right."""
         far = far_stamps(rows[:, 0], rows[:, 1])
         rising = rising_stamps(rows[~far, 0], strictly=False)
         self.skipped[f"{what} whose stamp is far from the time of recording"] += int(far.sum())
@@ -145,14 +175,32 @@ class Headers:
             first = "{:.3f} s, recorded at {:.3f} s".format(*rows[far[0]])
             self.skipped[f"scan whose stamp is far from the time of recording (the first: {first})"] = len(far)
         rows[far, 0] = np.nan
+        step_s, log_step_s = np.abs(np.nanmedian(np.diff(rows, axis=0), axis=0)) if len(known) > 1 else (1.0, 1.0)
+        if 0 < step_s < STEP_SHARE_MIN * log_step_s:
+            note = (
+                f"stamps of scans are {step_s:.2g} s apart, which were recorded every {log_step_s:.2g} s (--clock bag)"
+            )
+            self.notes[note] = None
         return rows[:, 0], rows[:, 1]
+
+    def check_clocks(self, scans: str) -> None:
+        """Raise `InputError` if the stamps of the scans are ahead of those of the poses, or behind them, compared with
+        the times of recording: their clocks differ."""
+        rows = np.array(self._table[scans]).reshape(-1, 2)
+        late = [each[np.isfinite(each)] for each in (rows[:, 0] - rows[:, 1], np.array(self._late_s))]
+        if all(len(each) and np.median(np.abs(each - np.median(each))) < STEADY_S for each in late):
+            ahead_s = float(np.median(late[0]) - np.median(late[1]))
+            if abs(ahead_s) > FAR_S:
+                how = f"{abs(ahead_s):.1f} s {'ahead of' if ahead_s > 0 else 'behind'}"
+                remedy = ONE_CLOCK.format(f"{-ahead_s:.1f}", OF_BAG)
+                raise InputError(f"{self._bag.path}: scans are {how} the poses by the times of recording; {remedy}")
 
     def tree(self) -> Tree:
         """Transforms of tf_static and tf."""
         tree = Tree()
-        for key in [key for key in self._table if isinstance(key, tuple)]:
+        for key in [key for key in self._table if isinstance(key, Link)]:
             parent, child, is_static = key
-            rows = self.rows(key, 7, "transform")
+            rows = self._right(np.array(self._table[key]).reshape(-1, 9), "transform")
             if not is_static and len(rows) > 1 and not np.ptp(rows[:, 0]) and np.ptp(rows[:, 1:], axis=0).max() > STILL:
                 self.unstamped[child] = f"transforms {parent} → {child} move, but all have the stamp {rows[0, 0]:g} s"
                 continue
@@ -169,6 +217,11 @@ class Headers:
             except InputError:
                 self.notes[f"no transform {parent} → {child} is valid"] = None
         return tree
+
+
+def _is_less(pair: tuple[str, str], other: tuple[str, str]) -> bool:
+    """Whether a pair of names is another one with empty names in it."""
+    return pair != other and all(a in ("", b) for a, b in zip(pair, other, strict=True))
 
 
 def frame_name(name: str) -> str:

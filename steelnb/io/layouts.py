@@ -160,8 +160,8 @@ def _doubt(values: Any) -> float:
 
 
 def no_return(raw: Any) -> Any:
-    """Where an integer is the largest of its type, or the smallest of a signed one: no return."""
+    """Where a number is the largest of its type, or the smallest of a signed one: no return."""
     if raw.dtype.kind == "f":
-        return np.zeros(raw.shape, bool)
+        return np.abs(raw) == np.finfo(raw.dtype).max
     bounds = np.iinfo(raw.dtype)
     return (raw == bounds.max) | ((raw == bounds.min) & (bounds.min < 0))

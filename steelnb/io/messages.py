@@ -15,6 +15,13 @@ POSE_COVARIANCE, TRANSFORM = "geometry_msgs/msg/PoseWithCovarianceStamped", "geo
 TF = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 INTEGER_M = 1e-3
 """Unit of integers: REP 118 says so for depth, and PointCloud2 has no unit."""
+FAR_DEPTH_M, FAR_SHARE = 50.0, 0.01
+"""A depth beyond the first that this share of the pixels has, at twice that of all others, is no depth: simulators and
+converters write 65.535, 1000 or 65504 where they see nothing."""
+CENTRE = 0.2, 0.8
+"""Where a principal point usually is, as a share of the image's size."""
+FOCAL_MIN = 1.0
+"""Minimum focal length of a camera, pixels: some programs give it as a share of the image's size."""
 
 
 class CameraInfo(NamedTuple):
@@ -52,9 +59,8 @@ def cloud_points(message: Any) -> Array:
         kind = np.dtype(order + POINT_TYPES[field.datatype])
         raw = np.ndarray(shape, kind, message.data, field.offset, strides)
         points[..., k] = raw
-        if kind.kind != "f":
-            points[..., k] *= INTEGER_M
-            points[..., k][no_return(raw)] = np.nan
+        points[..., k] *= INTEGER_M if kind.kind != "f" else 1.0
+        points[..., k][no_return(raw)] = np.nan
     points[~np.isfinite(points[..., 0] + points[..., 1] + points[..., 2])] = np.nan
     return points if min(shape) > 1 else points.reshape(-1, 3)
 
@@ -63,12 +69,19 @@ def cloud_points(message: Any) -> Array:
 def depth_points(image: Any, camera: CameraInfo) -> Array:
     """Points ``(H, W, 3)`` of a depth image in optical axes, metres, NaN where there is no depth; distortion is left.
 
-    No depth is 0, less, NaN, infinite, or the largest integer. Raises `InputError` for contradicting sizes.
+    No depth is 0, less, NaN, infinite, the largest number of its type, or one far behind all others (`FAR_DEPTH_M`).
+    Raises `InputError` for contradicting sizes.
     """
     shape, strides, order, _ = depth_layout(image)
     raw = np.ndarray(shape, order + DEPTHS[image.encoding], image.data, strides=strides)
     depth = raw * np.float64(1.0 if raw.dtype.kind == "f" else INTEGER_M)
     depth[~((depth > 0) & np.isfinite(depth)) | no_return(raw)] = np.nan
+    farthest_m = np.fmax.reduce(depth, axis=None, initial=0)
+    if farthest_m > FAR_DEPTH_M:
+        is_farthest = depth == farthest_m
+        is_shared = is_farthest.sum() >= FAR_SHARE * depth.size
+        if is_shared and np.fmax.reduce(depth[~is_farthest], initial=0) < 0.5 * farthest_m:
+            depth[is_farthest] = np.nan
     K, _ = camera_matrix(camera, *shape)
     right = (np.arange(image.width) - K[0, 2]) / K[0, 0]
     down = (np.arange(image.height) - K[1, 2]) / K[1, 1]
@@ -89,7 +102,7 @@ def camera_of(message: Any) -> CameraInfo:
 
 def _is_calibrated(K: Array) -> bool:
     below = np.abs(np.tril(K, -1)).max(initial=0.0)  # rounding may leave something
-    return bool(np.isfinite(K).all() and K[0, 0] > 0 and K[1, 1] > 0 and below < 1e-6 * K[0, 0])
+    return bool(np.isfinite(K).all() and min(K[0, 0], K[1, 1]) > FOCAL_MIN and below < 1e-6 * K[0, 0])
 
 
 def camera_matrix(camera: CameraInfo, height: int, width: int) -> tuple[Array, str]:
@@ -103,7 +116,10 @@ def camera_matrix(camera: CameraInfo, height: int, width: int) -> tuple[Array, s
     whole = camera.width, camera.height
     is_central = 0 <= K[0, 2] <= width and 0 <= K[1, 2] <= height  # all that can be checked without a size
     if whole in ((width, height), (0, 0)) and is_central:
-        return K, ""
+        share = K[:2, 2] / (width, height)
+        is_usual = CENTRE[0] <= share.min() and share.max() <= CENTRE[1]
+        centre = f"principal point ({K[0, 2]:g}, {K[1, 2]:g}) in {width} × {height} pixels"
+        return K, "" if is_usual else f"{centre}: K of the CameraInfo may be that of another size"
     if whole == (width, height):
         centre = f"({K[0, 2]:g}, {K[1, 2]:g})"
         raise InputError(f"CameraInfo with principal point {centre}; expected one in its {width} × {height} pixels")

@@ -12,13 +12,13 @@ from steelnb.core.errors import InputError
 from steelnb.core.files import check_exists, display_name
 from steelnb.core.types import Array, Flight, IntArray, Scan, Trajectory
 from steelnb.io.bags import Clock, open_bag
-from steelnb.io.clocks import rising_stamps
+from steelnb.io.clocks import OF_BAG, ONE_CLOCK, rising_stamps
 from steelnb.io.clouds import READERS
 from steelnb.io.containers import bags_in, is_bag
 from steelnb.io.encodings import foreign_file
 from steelnb.io.folders import TRUE, named_file, open_clouds
 from steelnb.io.opened import Walk
-from steelnb.io.trajectories import interpolate, read_trajectory
+from steelnb.io.trajectories import interpolate, note_on_rotations, read_trajectory
 
 CLOCKS = ("stamps", "bag")
 OFFSET_MAX_S = 1e10
@@ -27,7 +27,8 @@ RISING_MIN = 0.5
 """If fewer of the stamps rise, the clock is of no use."""
 FAR_M = 1e6
 """No sensor sees farther. A few such points are no returns; if most are so, the scan is not in metres."""
-_REMEDY = "expected one clock (--time-offset SECONDS shifts scans, --clock bag takes the times of recording)"
+SAMPLE, REPEATED_MIN = 1000, 0.02
+"""Number of points of a scan that are compared, and the minimum share of them at one place, which is no return."""
 
 
 @checks_arguments
@@ -71,6 +72,7 @@ def read_flight(
     if clock not in CLOCKS or not abs(time_offset_s) < OFFSET_MAX_S:
         expected = f"{' or '.join(CLOCKS)}, and seconds below {OFFSET_MAX_S:g}"
         raise InputError(f"clock {clock!r} with {time_offset_s:g} s; expected {expected}")
+    remedy = ONE_CLOCK.format("SECONDS", OF_BAG if is_bag(path) else "")
     if is_bag(path):
         opened = open_bag(path, scans, poses, imu, T_drone_sensor, Clock(clock == "bag", time_offset_s))
     else:
@@ -84,16 +86,18 @@ def read_flight(
     stamp_s, walk, prior, mount, facts, readings, skipped = opened
     if T_drone_sensor is not None:
         mount, facts["mount"] = T_drone_sensor, "as given"
+    if note := note_on_rotations(prior):
+        facts["notes"] = "; ".join(filter(None, (facts.get("notes"), note)))
     number, usable = rising_stamps(stamp_s), int((~np.isnan(stamp_s)).sum())
     skipped["scan whose stamp does not rise"] += usable - len(number)
     if len(number) < RISING_MIN * usable:
         span = f"{np.nanmin(stamp_s):.3f} to {np.nanmax(stamp_s):.3f} s"
-        raise InputError(f"{path}: stamps of {usable} scans, {span}, rise only {len(number)} times; {_REMEDY}")
+        raise InputError(f"{path}: stamps of {usable} scans, {span}, rise only {len(number)} times; {remedy}")
     T_world_drone, covered = interpolate(prior, stamp_s[number])
     skipped["scan without a pose near"] += int((~covered).sum())
     if not covered.any():
         seconds = [f"{each[0]:.3f} to {each[-1]:.3f} s" for each in (stamp_s[number], prior.stamp_s)]
-        raise InputError(f"{path}: no scan has a pose: scans at {seconds[0]}, poses at {seconds[1]}; {_REMEDY}")
+        raise InputError(f"{path}: no scan has a pose: scans at {seconds[0]}, poses at {seconds[1]}; {remedy}")
     number = number[covered]
     poses_at = Trajectory(stamp_s[number], T_world_drone[covered])
     skipped_counts = {reason: count for reason, count in skipped.items() if count}
@@ -135,8 +139,8 @@ def truth_path(path: Path) -> Path:
 class Scans(Sequence[Scan]):
     """Scans in files. Every iteration reads them again, one in memory at a time; indexing reads only those selected.
 
-    ``stamp_s (K,)`` increases. A scan that cannot be read has no points, and `Scan.fault` says why. Points at (0, 0, 0)
-    and beyond `FAR_M` become NaN, since drivers write such for no return.
+    ``stamp_s (K,)`` increases. A scan that cannot be read has no points, and `Scan.fault` says why. Points at
+    (0, 0, 0), at any other place that many share, and beyond `FAR_M` become NaN: drivers write such for no return.
     """
 
     def __init__(self, walk: Walk, number: IntArray, stamp_s: Array) -> None:
@@ -163,5 +167,9 @@ def _scan(stamp_s: float, decode: Callable[[], Array]) -> Scan:
         if far.sum() > np.isfinite(points).all(axis=-1).sum() / 2:
             return Scan(stamp_s, np.zeros((0, 3)), f"unreadable scan: {far.sum()} points beyond {FAR_M:g} m")
         points = np.where(far[..., None], np.nan, points)
+    sample = points.reshape(-1, 3)[:: points.size // (3 * SAMPLE) + 1]
+    places, counts = np.unique(sample[np.isfinite(sample).all(axis=1)], axis=0, return_counts=True)
+    for place in places[counts > max(REPEATED_MIN * len(sample), 2)]:
+        points = np.where((points == place).all(axis=-1, keepdims=True), np.nan, points)
     scan = Scan(stamp_s, points)
     return scan if np.isfinite(scan.points).any() else Scan(stamp_s, np.zeros((0, 3)), "no finite point")

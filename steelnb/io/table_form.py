@@ -169,7 +169,7 @@ def _names(heads: list[tuple[int, str]], counts: set[int], begin: int) -> tuple[
     them, or none. Raises ValueError for other lines after the names, and for names that are too few or too many."""
     split = [_cells_of(text) for _, text in heads]
     plain = [[_plain(cell)[0] for cell in cells] for cells in split]
-    are_names = [any(w.endswith("x") for w in words) or sum(w in KNOWN for w in words) > 1 for words in plain]
+    are_names = [_are_names(words) for words in plain]
     fitting = [k for k, cells in enumerate(split) if len(cells) in counts]
     chosen = max([k for k in fitting if are_names[k]] or fitting, default=None)
     if chosen is None:
@@ -210,15 +210,19 @@ def _has_decimal_commas(lines: list[str], separator: str) -> bool:
 
 
 def _words(comment: str, count: int) -> list[str]:
-    """The words of a comment that could be names of columns: one of them is an x; units stay with their names.
-    ``count``: of columns, which tells whether "name" or "field" is one of them."""
+    """The words of a comment that could be names of columns: one of them is an x, or two are `KNOWN`; units stay with
+    their names. ``count``: of columns, which tells whether "name" or "field" is one of them."""
     comment = comment.rpartition(":")[2].replace("|", " ").strip()
     texts = (HEADING.sub("", comment), comment)
     both = [split_cells(re.sub(r"\s+([\[(])", r"\1", text), _separator(text)) for text in texts]
     words = next((words for words in both if len(words) == count), both[0])
     plain = [_plain(word)[0] for word in words]
     beside = any([word[-1:] for word in plain[k : k + 3]] == ["x", "y", "z"] for k in range(len(plain)))
-    return words if any(word.endswith("x") for word in plain) and (beside or PROSE.isdisjoint(plain)) else []
+    return words if _are_names(plain) and (beside or PROSE.isdisjoint(plain)) else []
+
+
+def _are_names(words: list[str]) -> bool:
+    return any(word.endswith("x") for word in words) or sum(word in KNOWN for word in words) > 1
 
 
 def _plain(name: str) -> tuple[str, str]:

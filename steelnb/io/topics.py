@@ -1,7 +1,9 @@
 """Which topics of a bag hold the scans and the poses: those of a suitable type, or those that the user names."""
 
+import itertools
 import os
 import re
+from contextlib import suppress
 from typing import NamedTuple
 
 from steelnb.core.errors import InputError
@@ -22,6 +24,8 @@ PACKED = {
 """Messages of scans that are not read, by patterns of their types: what they are, and the remedy."""
 POSES_MIN = 3
 """A topic with fewer poses may be a goal or a start."""
+LOOKED_AT = 10
+"""Number of messages that tell what an IMU measures."""
 
 
 class PoseSource(NamedTuple):
@@ -92,13 +96,39 @@ def pose_source(bag: Container, name: str | None, scans: str) -> PoseSource:
         if os.path.isfile(name):  # Path.is_file raises for a name that is too long
             return PoseSource(tf, file=name)
         if pair := re.fullmatch(r"(?:tf )?\s*/?([^>→]+?)\s*(?:-?>|→)\s*/?([^>→]+?)\s*", name):
-            return PoseSource(tf, uses_tf=True, pair=(pair[1], pair[2]))
+            objects = tuple(bag.of_type(ros.ODOMETRY, ros.POSE_STAMPED, ros.POSE_COVARIANCE, ros.TRANSFORM))
+            return PoseSource(tf, uses_tf=True, topics=objects, pair=(pair[1], pair[2]))
+    if name and name not in bag.types and (os.path.dirname(name.lstrip("/")) == "" and os.path.splitext(name)[1]):
+        raise InputError(f"{bag.path}: no topic and no file {name!r}; expected a topic of poses, or a trajectory")
     if name or first:
         topic = bag.choose("poses", name, [*first, *others] if name else first)
         return PoseSource(tf, topics=(topic,), left_out=tuple(few))
     if tf:
         return PoseSource(tf, uses_tf=True, topics=tuple(others) if len(others) == 1 else (), left_out=tuple(few))
     return PoseSource(tf, topics=(bag.choose("poses", None, others),))
+
+
+def imu_topics(bag: Container, name: str | None) -> list[str]:
+    """The topic of an IMU of this name, else those whose readings are all measured."""
+    if name:
+        return [bag.choose("an IMU", name, bag.of_type(ros.IMU))]
+    measured = {topic: _measured(bag, topic) for topic in bag.of_type(ros.IMU)}
+    parts = set().union(*(own for own in measured.values() if "both" in own))
+    return [topic for topic, own in measured.items() if "both" in own and own == parts]
+
+
+def _measured(bag: Container, topic: str) -> set[str]:
+    """What an IMU measures by its first messages: −1 in a covariance says that it does not measure ``both``, and
+    zeros say nothing but beside another topic that has the part."""
+    found = {"both"}
+    for raw in itertools.islice(bag.messages(topic), LOOKED_AT):
+        with suppress(InputError):
+            one = bag.decode(raw)
+            parts = {"force": one.linear_acceleration, "rate": one.angular_velocity}
+            found |= {name for name, part in parts.items() if any(ros.numbers(part))}
+            if -1 in (one.angular_velocity_covariance[0], one.linear_acceleration_covariance[0]):
+                found -= {"both"}
+    return found
 
 
 def camera_topic(bag: Container, images: str, frame_of: dict[str, str]) -> str:
