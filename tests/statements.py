@@ -46,10 +46,11 @@ def stated_numbers(text: str) -> list[Stated]:
 def value_of(source: str, root: Path) -> float:
     """The value that a source names. Parts are separated by `` | ``, files are given from the root:
 
-    - ``table.csv | query of pandas | column``, and a fourth part for several rows: ``min``, ``max``, ``mean``,
-      ``median``, ``sum`` or ``count``; an empty query stands for all rows;
+    - ``table.csv | query of pandas | column``, also ``.parquet``, and a fourth part for several rows: ``min``, ``max``,
+      ``mean``, ``median``, ``sum``, ``count`` or ``nunique``; an empty query stands for all rows;
     - ``metrics.json | key``;
     - ``page.md | text of one row | head of a column``, and ``2`` as a fourth part for the second number of that cell;
+      a row may be told by ``two & texts``, and a table by ``head beside another``;
     - ``page.md | words``: the first number after them.
 
     `` / `` and `` - `` between two sources are their ratio and their difference."""
@@ -61,8 +62,8 @@ def value_of(source: str, root: Path) -> float:
     path = root / name
     if path.suffix == ".json":
         return float(json.loads(path.read_text(encoding="utf-8"))[parts[0]])
-    if path.suffix == ".csv":
-        table = pd.read_csv(path)
+    if path.suffix in (".csv", ".parquet"):
+        table = pd.read_csv(path) if path.suffix == ".csv" else pd.read_parquet(path)
         found = (table.query(parts[0]) if parts[0] else table)[parts[1]]
         if len(parts) > 2:
             return float(getattr(found, parts[2])())
@@ -80,10 +81,11 @@ def cells_of(page: str, row: str, column: str) -> list[str]:
     """The cells below a head in the rows of a page's tables that contain a text."""
     heads: list[str] = []
     found = []
+    column, _, other = column.partition(" beside ")
     for line in page.splitlines():
         cells = [cell.strip() for cell in line.strip("|").split("|")] if line.startswith("|") else []
         heads = heads if cells and heads else cells
-        if row in line and cells != heads and column in heads:
+        if all(text in line for text in row.split(" & ")) and cells != heads and {column, other or column} <= {*heads}:
             found.append(cells[heads.index(column)])
     return found
 
