@@ -43,20 +43,55 @@ def stated_numbers(text: str) -> list[Stated]:
     return numbers[::-1]
 
 
-def file_values(path: Path) -> np.ndarray:
-    """The absolute values in a file of results or in a page, each once, and the number of rows of a table."""
-    if path.suffix == ".csv":
-        table = pd.read_csv(path)
-        found = np.append(table.select_dtypes("number").to_numpy(float).ravel(), len(table))
-    elif path.suffix == ".json":
-        found = np.array(list(json.loads(path.read_text(encoding="utf-8")).values()), float)
-    else:
-        found = np.array([float(each.text.replace(",", "")) for each in stated_numbers(path.read_text("utf-8"))])
-    return np.unique(np.abs(found[np.isfinite(found)]))
+def value_of(source: str, root: Path) -> float:
+    """The value that a source names. Parts are separated by `` | ``, files are given from the root:
+
+    - ``table.csv | query of pandas | column``, also ``.parquet``, and a fourth part for several rows: ``min``, ``max``,
+      ``mean``, ``median``, ``sum``, ``count`` or ``nunique``; an empty query stands for all rows;
+    - ``metrics.json | key``;
+    - ``page.md | text of one row | head of a column``, and ``2`` as a fourth part for the second number of that cell;
+      a row may be told by ``two & texts``, and a table by ``head beside another``;
+    - ``page.md | words``: the first number after them.
+
+    `` / `` and `` - `` between two sources are their ratio and their difference."""
+    for sign, combine in ((" / ", float.__truediv__), (" - ", float.__sub__)):
+        if sign in source:
+            first, _, second = source.partition(sign)
+            return combine(value_of(first, root), value_of(second, root))
+    name, *parts = (part.strip() for part in source.split("|"))
+    path = root / name
+    if path.suffix == ".json":
+        return float(json.loads(path.read_text(encoding="utf-8"))[parts[0]])
+    if path.suffix in (".csv", ".parquet"):
+        table = pd.read_csv(path) if path.suffix == ".csv" else pd.read_parquet(path)
+        found = (table.query(parts[0]) if parts[0] else table)[parts[1]]
+        if len(parts) > 2:
+            return float(getattr(found, parts[2])())
+        (only,) = found.unique()
+        return float(only)
+    text = path.read_text(encoding="utf-8")
+    if len(parts) == 1:
+        assert text.count(parts[0]) == 1, f"{parts[0]!r} stands {text.count(parts[0])} times in {name}"
+        return float(stated_numbers(text.partition(parts[0])[2])[0].text.replace(",", ""))
+    (cell,) = cells_of(text, parts[0], parts[1])
+    return float(stated_numbers(cell)[int(parts[2]) - 1 if len(parts) > 2 else 0].text.replace(",", ""))
 
 
-def is_in(number: Stated, values: np.ndarray) -> bool:
-    """Whether one of the values is the number, in its unit and rounded like it."""
+def cells_of(page: str, row: str, column: str) -> list[str]:
+    """The cells below a head in the rows of a page's tables that contain a text."""
+    heads: list[str] = []
+    found = []
+    column, _, other = column.partition(" beside ")
+    for line in page.splitlines():
+        cells = [cell.strip() for cell in line.strip("|").split("|")] if line.startswith("|") else []
+        heads = heads if cells and heads else cells
+        if all(text in line for text in row.split(" & ")) and cells != heads and {column, other or column} <= {*heads}:
+            found.append(cells[heads.index(column)])
+    return found
+
+
+def is_value(number: Stated, value: float) -> bool:
+    """Whether a number is the value, in its unit and rounded like it."""
     wanted, digits = float(number.text.replace(",", "")), len(number.text.partition(".")[2])
     near = 0.5 * 10**-digits * (1 + 1e-6)
-    return any((np.abs(values * scale - wanted) <= near).any() for scale in SCALES[number.unit])
+    return any(abs(abs(value) * scale - wanted) <= near for scale in SCALES[number.unit])
