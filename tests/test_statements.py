@@ -1,6 +1,6 @@
-"""What pages and notebooks say is what the files of results say. `statements.toml` names the value behind each number of
-a notebook's conclusions, and of sentences of README and docs that link a file of results. A number without a source
-fails, and so does one that its source does not hold."""
+"""What pages and notebooks say is what the files of results say. `statements.toml` names the value behind each number
+of a notebook's conclusions, and of sentences of README and docs that link a file of results. A number without a
+source fails, and so does one that its source does not hold."""
 
 import json
 import re
