@@ -1,5 +1,6 @@
 """Flights in memory, and bags written by rosbags."""
 
+import os
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,8 @@ from steelnb.io.containers import typestore
 from steelnb.io.messages import CAMERA, CLOUD, IMAGE, IMU, ODOMETRY, PATH, POSE_COVARIANCE, POSE_STAMPED, TF, TRANSFORM
 
 KINDS = ("a.bag", "a.mcap", "a.db3")
+TRIALS = int(os.environ.get("STEELNB_FUZZ", "100"))
+"""Damaged files of each format, and a third of the damaged messages."""
 STAMPS = np.round(0.2 * np.arange(5), 9)
 POINTS = np.arange(60, dtype=float).reshape(4, 5, 3) + 1
 

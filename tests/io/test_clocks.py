@@ -53,6 +53,21 @@ def test_a_clock_of_no_use_is_refused_and_that_of_the_bag_can_be_taken(tmp_path,
     np.testing.assert_array_equal(read_flight(path, clock="bag").prior.stamp_s, TIMES)
 
 
+@pytest.mark.parametrize("ahead_s", [18.0, -37.0])
+def test_scans_ahead_of_the_poses_by_the_times_of_recording_are_refused_with_the_shift(tmp_path, ahead_s):
+    path = bag_of(tmp_path / "a.mcap", TIMES + ahead_s)
+    how = f"scans are {abs(ahead_s)} s (ahead of|behind) the poses .*--time-offset {-ahead_s} shifts scans, --clock bag"
+    with pytest.raises(InputError, match=how):
+        read_flight(path)
+    assert len(read_flight(path, time_offset_s=-ahead_s)) == len(read_flight(path, clock="bag")) == len(TIMES)
+
+
+def test_stamps_in_the_wrong_unit_are_noted(tmp_path):
+    stamps = EPOCH_S + np.arange(8) * 2e-4
+    flight = read_flight(bag_of(tmp_path / "a.mcap", stamps))
+    assert "stamps of scans are 0.0002 s apart, which were recorded every 0.2 s" in flight.facts["notes"]
+
+
 def test_scans_can_be_shifted_against_poses(tmp_path):
     path = bag_of(tmp_path / "a.mcap", TIMES - 3600.1)
     np.testing.assert_allclose(read_flight(path, time_offset_s=3600.1).prior.stamp_s, TIMES, atol=1e-6)

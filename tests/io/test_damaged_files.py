@@ -14,11 +14,9 @@ import pytest
 from steelnb.core.errors import InputError
 from steelnb.io import read_flight, read_trajectory, read_truth, write_tum
 from steelnb.io.clouds import read_points
-from tests.io.samples import poses
+from tests.io.samples import TRIALS, poses
 from tests.io.test_clouds import save
 
-TRIALS = int(os.environ.get("STEELNB_FUZZ", "100"))
-"""Damaged files of each format."""
 MEMORY_MAX = 30e6
 """For files of ten kilobytes."""
 NUMBERS = b"0 1 -1 3 399 4294967295 2147483648 99999999999999999999 nan 1e9 x ".split(b" ")

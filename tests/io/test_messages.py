@@ -13,7 +13,7 @@ from steelnb.io.bag_writer import Messages
 from steelnb.io.layouts import DEPTHS, cloud_layout, depth_layout
 from steelnb.io.messages import CameraInfo, camera_matrix, cloud_points, depth_points
 from steelnb.io.recordings import FAR_M, Scans
-from tests.io.samples import POINTS, Bagged
+from tests.io.samples import POINTS, TRIALS, Bagged
 
 MAKE = Messages(2)
 K = np.array([[60.0, 0, 40], [0, 60, 30], [0, 0, 1]])
@@ -158,11 +158,42 @@ def test_depth_has_encodings_sizes_and_byte_orders(encoding):
 def test_no_depth_has_many_spellings(kind, encoding):
     message, _ = depth(kind, encoding)
     pixels = message.data.view(kind).reshape(60, 80)
-    no_return = [0, 65535] if kind == "<u2" else [0, np.nan, np.inf, -np.inf, -1]
+    no_return = [0, 65535] if kind == "<u2" else [0, np.nan, np.inf, -np.inf, -1, np.finfo(np.float32).max]
     pixels[0, : len(no_return)] = no_return
     points = depth_points(message, CAMERA)
     assert np.isnan(points).all(axis=-1).sum() == len(no_return)
     assert np.nanmax(points) < 3
+
+
+@pytest.mark.parametrize(
+    ("sky_m", "share", "left"), [(65.535, 0.1, 0.9), (1000.0, 0.1, 0.9), (65.535, 0.001, 1.0), (12, 0.1, 1.0)]
+)
+def test_a_depth_far_behind_all_others_that_many_pixels_have_is_none(sky_m, share, left):
+    message, _ = depth("<f4", "32FC1")
+    pixels = message.data.view("<f4")
+    pixels[: int(share * len(pixels))] = sky_m
+    points = depth_points(message, CAMERA)
+    assert np.isfinite(points).all(axis=-1).mean() == pytest.approx(left, abs=1e-3)
+
+
+def test_a_place_that_many_points_share_is_no_return():
+    points = np.random.default_rng(0).uniform(1, 3, (40, 50, 3))
+    points[:10] = 65.535, -1.0, 2.0
+    (scan,) = Scans(lambda _: iter([lambda: points]), np.arange(1), np.arange(1.0))
+    assert np.isnan(scan.points[:10]).all()
+    assert np.isfinite(scan.points[10:]).all()
+
+
+@pytest.mark.parametrize(
+    ("change", "says"), [((2, 2, 0), "that of another size"), ((1, 1, 0), ""), ((0.012, 1, 0), None)]
+)
+def test_a_camera_of_another_size_or_unit_is_noted_or_refused(change, says):
+    camera = CameraInfo(np.array(K) * [[change[0]], [change[1]], [1]], 80, 60, (1, 1), (0, 0, 0, 0))
+    if says is None:
+        with pytest.raises(InputError, match="expected that of a calibrated camera"):
+            camera_matrix(camera, 60, 80)
+    else:
+        assert says in camera_matrix(camera, 60, 80)[1]
 
 
 @pytest.mark.parametrize(
@@ -236,12 +267,12 @@ def test_mutated_headers_end_in_points_or_in_a_fault():
         return message
 
     clouds, images = [cloud(), cloud(POINTS[0]), cloud(kind="<f8")], [depth()[0], depth("<f4", "32FC1")[0]]
-    decoders = [partial(cloud_points, mutated(clouds[k % 3])) for k in range(300)]
-    decoders += [partial(depth_points, mutated(images[k % 2]), CAMERA) for k in range(300)]
+    decoders = [partial(cloud_points, mutated(clouds[k % 3])) for k in range(3 * TRIALS)]
+    decoders += [partial(depth_points, mutated(images[k % 2]), CAMERA) for k in range(3 * TRIALS)]
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        scans = list(Scans(lambda _: iter(decoders), np.arange(600), np.arange(600.0)))
+        scans = list(Scans(lambda _: iter(decoders), np.arange(6 * TRIALS), np.arange(6.0 * TRIALS)))
     read = [scan.points for scan in scans if not scan.fault]
-    assert 50 < len(read) < 550
+    assert 0.1 < len(read) / len(scans) < 0.9
     assert max(np.nanmax(np.abs(points)) for points in read) <= FAR_M
     assert max(points.size for points in read) <= 3 * 4800

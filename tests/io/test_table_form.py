@@ -157,6 +157,10 @@ def test_coordinates_in_degrees_are_refused_and_a_plumb_tube_is_none(tmp_path):
     np.savetxt(tmp_path / "a.xyz", points / [74_300, 110_540, 1] + [11.5, 48.1, 500], fmt="%.9f")
     with pytest.raises(InputError, match="longitude and latitude in degrees; expected metres"):
         read_cloud(tmp_path / "a.xyz")
+    site = points * [100 / 74_300, 100 / 110_540, 1] + [11.5, 48.1, 500]
+    np.save(tmp_path / "b.npy", site)
+    with pytest.raises(InputError, match="longitude and latitude in degrees; expected metres"):
+        read_cloud(tmp_path / "b.npy")
     for width_m in (4e-3, 1e-16, 0):
         np.save(tmp_path / "a.npy", points * [width_m / 5, width_m / 5, 1] + [3, 4, 0])
         assert len(read_cloud(tmp_path / "a.npy")) == 200

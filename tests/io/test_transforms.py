@@ -2,12 +2,13 @@
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from steelnb.core.errors import InputError
 from steelnb.core.types import Trajectory
 from steelnb.io import read_flight, write_tum
 from steelnb.io.frames import T_OPTICAL_SENSOR
-from steelnb.io.messages import ODOMETRY, POSE_STAMPED
+from steelnb.io.messages import ODOMETRY, POSE_STAMPED, TRANSFORM
 from tests.io.samples import POINTS, STAMPS, Bagged, T_of, poses
 
 MOUNT, DRONE = T_of((0.3, 0, 0.1), (0.1, -0.2, 1.5)), poses(5)
@@ -49,6 +50,43 @@ def test_a_static_mount_without_stamps_repeats_nothing_and_one_that_changes_is_n
     np.testing.assert_allclose(flight.T_drone_sensor, MOUNT, atol=1e-12)
     assert not flight.skipped
     assert "fixed transform map → odom changes; the last one is used" in flight.facts["notes"]
+
+
+@pytest.mark.parametrize("kind", [ODOMETRY, TRANSFORM])
+def test_of_several_objects_on_a_topic_the_drone_is_chosen_as_on_tf(bag, kind):
+    still, other = Trajectory(STAMPS, np.tile(MOUNT, (5, 1, 1))), poses(5, seed=3)
+    bag.clouds().odometry("/vicon", still, "wand", kind, "world").odometry("/vicon", DRONE, "drone", kind, "world")
+    flight = read_flight(bag.write())
+    np.testing.assert_allclose(flight.prior.T_world_drone, DRONE.T_world_drone, atol=1e-9)
+    assert "/vicon has poses of several frames; those of drone in world" in flight.facts["notes"]
+    both = Bagged(bag.path.with_stem("b")).clouds().odometry("/vicon", other, "gripper", kind, "world")
+    both.odometry("/vicon", DRONE, "drone", kind, "world").write()
+    with pytest.raises(InputError, match=r"several frames may be the drone.s: world>drone, world>gripper"):
+        read_flight(both.path)
+    chosen = read_flight(both.path, poses="world>gripper")
+    np.testing.assert_allclose(chosen.prior.T_world_drone, other.T_world_drone, atol=1e-9)
+
+
+def test_first_poses_without_names_are_of_the_same_drone(bag):
+    bag.clouds().odometry(trajectory=poses(5))
+    first = bag.rows[-5][3]
+    first.header.frame_id = first.child_frame_id = ""
+    np.testing.assert_allclose(read_flight(bag.write()).prior.T_world_drone, DRONE.T_world_drone, atol=1e-9)
+
+
+def test_scans_of_one_drone_are_not_given_the_poses_of_another(bag):
+    path = bag.clouds(frame="uav2/tof").odometry(child="uav1/base_link", frame="uav1/odom").write()
+    with pytest.raises(InputError, match="of two drones by their names; expected those of one, or --mount"):
+        read_flight(path)
+    np.testing.assert_array_equal(read_flight(path, T_drone_sensor=MOUNT).T_drone_sensor, MOUNT)
+
+
+def test_quaternions_that_begin_with_w_are_noted(bag):
+    yaw, turned = np.linspace(0, 3, 5), np.tile(np.eye(4), (5, 1, 1))
+    for T, angle in zip(turned, yaw, strict=True):  # x, y, z, w of a reader are w, x, y, z of the writer
+        T[:3, :3] = Rotation.from_quat([np.cos(angle / 2), 0, 0, np.sin(angle / 2)]).as_matrix()
+    flight = read_flight(bag.clouds().odometry(trajectory=Trajectory(STAMPS, turned)).write())
+    assert "upright if quaternions were w, x, y, z" in flight.facts["notes"]
 
 
 @pytest.mark.parametrize(("world", "named"), [("odom", None), ("camera_init", None), ("uav1/odom", "/tf")])
