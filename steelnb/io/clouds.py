@@ -133,7 +133,8 @@ def _read_npy(path: Path) -> Any:
         raise ValueError("damaged, truncated, or not of numbers; expected an array by numpy.save") from None
     is_picture = isinstance(stored, np.ndarray) and stored.dtype in ("u1", "i1")
     if not isinstance(stored, np.ndarray) or is_picture or (not stored.dtype.names and stored.dtype.kind not in "fiu"):
-        raise ValueError(f"{getattr(stored, 'dtype', 'an archive')}; expected numbers")
+        what = "a picture of " if is_picture else ""
+        raise ValueError(f"{what}{getattr(stored, 'dtype', 'an archive')}; expected coordinates")
     if stored.dtype.names is not None:
         field = {name.lower(): name for name in stored.dtype.names}
         if not {"x", "y", "z"} <= field.keys():

@@ -138,7 +138,7 @@ class Container:
         found = f"{name} is {kinds[name]}" if name in kinds else found
         if not candidates:
             topics = ", ".join(f"{topic} ({kind})" for topic, kind in kinds.items())
-            raise InputError(f"{self.path}: {found}; expected one, beside {topics}")
+            raise InputError(f"{self.path}: {found}; expected one in the recording, which has {topics}")
         topics = ", ".join(f"{topic} ({kinds[topic]})" for topic in sorted(candidates))
         raise InputError(f"{self.path}: {found}; expected one topic of {role}, or its name, among {topics}")
 

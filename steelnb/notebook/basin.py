@@ -36,6 +36,7 @@ POOR_CASES = (
     ("pairs within 0.5 m", "icp", 0.5), ("pairs within 0.5 m", "gicp", 0.5),
 )  # fmt: skip
 """Variant, method and maximum distance of a pair, metres."""
+START_COLUMNS = ["variant", "method", "seed", "start_m", "start_deg", "error_m", "right"]
 POINTS_MIN = 100
 """Minimum number of points of a scan in `from_poor_starts`; fewer may show one bar only."""
 
@@ -118,7 +119,7 @@ def from_poor_starts(
             rows.append((variant, method, scan, start_m, math.degrees(turn_rad), error_m, int(error_m <= RIGHT_M)))
         if on_progress:
             on_progress(done / count)
-    return pd.DataFrame(rows, columns=["variant", "method", "seed", "start_m", "start_deg", "error_m", "right"])
+    return pd.DataFrame(rows, columns=START_COLUMNS)
 
 
 def _mapped(settings: ExperimentSettings, flight: Flight, true: Array, without: int = -1) -> CloudOdometry:
@@ -166,6 +167,6 @@ def start_runs(folder: Path) -> pd.DataFrame:
     """The rows of `from_poor_starts` that notebook 04 wrote, as runs of the report's vertical flight without duration
     or noise, so that claims on them are judged like the others. Raises `InputError`."""
     with reading(folder / "starts.csv", "registrations from poor starts, which notebook 04 writes"):
-        rows = pd.read_csv(folder / "starts.csv")
+        rows = pd.read_csv(folder / "starts.csv", usecols=START_COLUMNS)
     case = {"sensor": "report", "trajectory": "vertical", "noise": "", "duration_s": 0.0, "blind": ""}
     return rows.assign(status="ok", **case)

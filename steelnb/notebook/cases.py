@@ -115,19 +115,26 @@ def basin_cases(
 
 def slip_cases(
     trajectory: Sequence[str], noise: Sequence[str], sensor: str, seed: Sequence[rng.Seed], duration_s: float,
-    correspondence_m: Iterable[float], blind_s: Iterable[Sequence[float]], overrides: Mapping[str, Any],
+    correspondence_m: Iterable[float], blind_s: Sequence[Sequence[float]], overrides: Mapping[str, Any],
     tower: str | None,
 ) -> list[ExperimentSettings]:  # fmt: skip
-    """Flights with and without gaps in sight, of the 3-DoF registrations of notebook 04. Raises `InputError`."""
-    gaps = [gap for gap in blind_s if gap[1] < duration_s]
+    """Flights without gaps in sight and, if there are any, with them, of the 3-DoF registrations of notebook 04. Raises
+    `InputError`."""
     methods = [*(("icp-3dof", {PAIR: each}) for each in correspondence_m), ("report-icp-3dof", {})]
-    axes = seed, [{}, {"tof.blind_s": gaps}], trajectory, noise, methods
+    sights: list[dict[str, Any]] = [{}, {"tof.blind_s": blind_s}] if blind_s else [{}]
+    axes = seed, sights, trajectory, noise, methods
     return [
         ExperimentSettings.preset(
             way, drift, name, sensor, start, duration_s, joined(sight | changes, overrides, name), tower  # type: ignore[arg-type]
         )
         for start, sight, way, drift, (name, changes) in itertools.product(*axes)
     ]  # fmt: skip
+
+
+def cloud_case(tower: str, seed: rng.Seed, duration_s: float) -> ExperimentSettings:
+    """The flight whose scans notebook 06 merges to a cloud of a whole tower, ground included. Raises `InputError`."""
+    settings = ExperimentSettings.preset("loops", "none", "best", "starling2", seed, duration_s)
+    return settings.override({"tower": tower, "preprocess.floor_m": -10.0})
 
 
 def planner_cases(

@@ -7,6 +7,8 @@ imported by the checks that need them, so that a refusal takes no longer than th
 import itertools
 import math
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,13 +17,14 @@ from steelnb.core.errors import InputError
 from steelnb.notebook.cases import (
     PLANNER_FLIGHTS,
     basin_cases,
+    cloud_case,
     planner_cases,
     report_cases,
     slip_cases,
     with_earlier_runs,
     world_cases,
 )
-from steelnb.notebook.results import RUNS, find_root
+from steelnb.notebook.sources import SOURCES, check_source
 from steelnb.settings import METHODS, TOWERS, ExperimentSettings, OrbSettings
 from steelnb.settings.experiment import ARGUMENTS, check_given_once
 from steelnb.settings.noise import Noise, at_level
@@ -82,6 +85,8 @@ def _experiments(values: Values) -> None:
     elif "correspondence_m" in values:
         basin_cases(**_given(values, *BASIN))
         slip_cases(**_given(values, *BASIN, "blind_s"))
+    elif "cloud_s" in values:
+        _check_clouds(values)
     elif "flights" in values:
         planner_cases(**_given(values, "flights", "noise", "method", "sensor", "seed", "duration_s", "overrides"))
     elif methods := _flown(values):
@@ -151,6 +156,9 @@ def _check_blind(values: Values) -> None:
     for gap in values["blind_s"]:
         if len(gap) != 2 or not 0 <= gap[0] < gap[1]:
             raise InputError(f"blind_s: {gap}: expected the first and last second of a gap, such as [60.0, 75.0]")
+        if gap[1] >= values["duration_s"]:
+            flown = f"blind_s: {gap} with duration_s = {values['duration_s']:g}"
+            raise InputError(f"{flown}: expected a gap that ends before the flight does")
 
 
 def _check_step(values: Values) -> None:
@@ -169,6 +177,14 @@ def _check_cloud_seeds(values: Values) -> None:
             raise InputError(f"{name} = {seeds}: expected numbers, since the report's seed has no single frames")
 
 
+def _check_clouds(values: Values) -> None:
+    for tower, seeds in values["cloud_seeds"].items():
+        try:
+            cloud_case(tower, seeds[0], values["cloud_s"])
+        except InputError as fault:
+            raise InputError(f"cloud_s = {values['cloud_s']:g}: {fault}") from None
+
+
 def _check_poor_starts(values: Values) -> None:
     from steelnb.notebook.basin import MAP_EVERY
 
@@ -184,18 +200,8 @@ def _check_drift(values: Values) -> None:
     if values["drift_s"] < DRIFT_MIN_S:
         raise InputError(f"drift_s = {values['drift_s']:g}: expected at least {DRIFT_MIN_S:g}, the step of the table")
     for name in values["noise"]:
-        Noise.parse(name)
-
-
-def _check_file(name: str, inside: str = "") -> Callable[[Values], None]:
-    """The check of a parameter that names a file, or a folder with a file ``inside``."""
-
-    def check(values: Values) -> None:
-        path = find_root() / values[name] / inside
-        if not path.is_file():
-            raise InputError(f"{name} = {values[name]!r}: no file {path}")
-
-    return check
+        if replace(Noise.parse(name), tilt_rad=0.0) == Noise():
+            raise InputError(f"noise = {name!r}: expected a drift of the position or heading, such as 'random-walk'")
 
 
 def _check_recording(values: Values) -> None:
@@ -228,10 +234,7 @@ CHECKS: Mapping[str, Callable[[Values], None]] = {
     "drift_s": _check_drift,
     "flights": lambda values: check_names("flights", values["flights"], PLANNER_FLIGHTS),
     "cloud_seeds": _check_cloud_seeds,
-    "study_folder": _check_file("study_folder", RUNS),
-    "frames_folder": _check_file("frames_folder", "table.csv"),
-    "starts_folder": _check_file("starts_folder", "starts.csv"),
-    "claims_file": _check_file("claims_file"),
     "recording": _check_recording,
+    **{name: partial(check_source, name) for name in SOURCES},
 }
 """Parameter → its check."""

@@ -195,11 +195,11 @@ def frame_runs(folder: Path) -> pd.DataFrame:
     names = [*TRIAL_COLUMNS, "seed"]
     with reading(folder / "table.csv", "results of segmentation-seeds"):
         rows, times = (pd.read_csv(folder / name) for name in ("table.csv", "timing.csv"))
-    times = times.rename(columns={"median_ms": "frame_median_ms"})[[*names, "frame_median_ms"]]
-    rows = rows.merge(times, on=names, how="left", validate="one_to_one")
-    usual = np.logical_and.reduce([rows[name] == value for name, value in USUAL.items()])
-    rows = rows[(rows["scene"] == "frame") & usual].reset_index(drop=True)
-    both = rows["recall"] + rows["precision"]
+        times = times.rename(columns={"median_ms": "frame_median_ms"})[[*names, "frame_median_ms"]]
+        rows = rows.merge(times, on=names, how="left", validate="one_to_one")
+        usual = np.logical_and.reduce([rows[name] == value for name, value in USUAL.items()])
+        rows = rows[(rows["scene"] == "frame") & usual].reset_index(drop=True)
+        both = rows["recall"] + rows["precision"]
     f1 = 2 * rows["recall"] * rows["precision"] / both.where(both > 0, 1.0)
     case = {"sensor": "starling2", "trajectory": "frame", "noise": "", "duration_s": 0.0, "variant": "", "blind": ""}
     return rows.assign(f1=f1, status="ok", **case)

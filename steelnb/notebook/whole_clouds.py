@@ -18,9 +18,9 @@ from steelnb.hough.alternatives.methods import find_bars_by
 from steelnb.hough.lines import default_dx
 from steelnb.hough.whole_structure.search import segment_structure
 from steelnb.metrics.structure import Reference, reference, score_structure
+from steelnb.notebook.cases import cloud_case
 from steelnb.notebook.single_frames import Options
 from steelnb.points import preprocess_scan, voxel_grid
-from steelnb.settings import ExperimentSettings, TowerSettings
 from steelnb.simulation.truth import SLICE_M
 
 SHARE = 10
@@ -66,8 +66,7 @@ CLOUD_METHODS = ("steelnb segment", "blocks", "hough", "ransac-lines", "dbscan",
 def merged_cloud(tower: str, seed: int, duration_s: float) -> tuple[Array, Reference]:
     """Points ``(N, 3)`` of a flight in loops around a tower at the true poses, world frame, in random order, with the
     ground; and the true bars that it saw. Members in line are one bar."""
-    settings = ExperimentSettings.preset("loops", "none", "best", "starling2", seed, duration_s)
-    settings = settings.replace(tower=TowerSettings.preset(tower)).override({"preprocess.floor_m": -10.0})
+    settings = cloud_case(tower, seed, duration_s)
     flight, truth = experiment.simulate(settings)
     T = truth.trajectory.at(flight.prior.stamp_s).T_world_drone
     random, placed = stream(seed, "merged cloud"), []

@@ -72,10 +72,10 @@ def _draw_drift(data: pd.DataFrame, case: str, order: Sequence[str], **_: Any) -
 
 def forest(cells: pd.DataFrame, colours: Mapping[str, str]) -> matplotlib.figure.Figure:
     """Draw one panel per ``title`` with the estimate and interval of each ``cell`` in the order of the table, coloured
-    by ``verdict``. Dashed lines are the thresholds. Each panel has its own scale, a logarithmic one for positive
-    numbers that span more than `WIDE`."""
+    by ``verdict``, over its ``measure``. Dashed lines are the thresholds. Each panel has its own scale, a logarithmic
+    one for positive numbers that span more than `WIDE`."""
     panels = list(cells.groupby(cells["title"].str.wrap(80), sort=False))
-    rows, size = [len(some) for _, some in panels], (9, 0.21 * len(cells) + 0.62 * len(panels) + 0.5)
+    rows, size = [len(some) for _, some in panels], (9, 0.21 * len(cells) + 0.8 * len(panels) + 0.5)
     figure, axes = plt.subplots(len(panels), height_ratios=rows, figsize=size, squeeze=False, layout="constrained")
     for (title, some), panel in zip(panels, axes.flat, strict=True):
         look = some["verdict"].map(colours)
@@ -88,6 +88,7 @@ def forest(cells: pd.DataFrame, colours: Mapping[str, str]) -> matplotlib.figure
             panel.set_xscale("log")
             panel.xaxis.set_major_formatter("{x:g}")
         panel.set_title(title, loc="left", size=9)
+        panel.set_xlabel(some["measure"].iloc[0], size=9)
         panel.tick_params(labelsize=9)
     verdicts = [Line2D([], [], color=colour, marker="o", ls="", label=verdict) for verdict, colour in colours.items()]
     figure.legend(handles=verdicts, loc="outside lower center", ncols=len(verdicts))

@@ -28,7 +28,7 @@ VoxelEdge = Annotated[Finite, Field(ge=1e-4)]
 """Edge of voxels, metres. With smaller ones a flight of 100 m has more voxels a side than an index counts."""
 DURATION_MAX_S = 14_400.0
 """Four hours. A flight is limited because its poses and IMU samples are held in memory."""
-Duration = Annotated[float, Field(gt=0, le=DURATION_MAX_S)]
+Duration = Annotated[Finite, Field(gt=0, le=DURATION_MAX_S)]
 Probability = Annotated[float, Field(ge=0, le=1)]
 
 

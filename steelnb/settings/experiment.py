@@ -226,5 +226,5 @@ def check_given_once(overrides: dict[str, Any], arguments: Mapping[str, Any]) ->
     checked_kind(overrides, "overrides", dict)
     for name, value in arguments.items():
         again = overridden(overrides, ARGUMENTS[name], value)
-        if value is not None and np.any(again != value):
+        if value is not None and again is not value and np.any(again != value):  # NaN differs from itself
             raise InputError(f"{name} = {shown(value)}, and {shown(again)} in the overrides: expected one {name}")

@@ -17,7 +17,7 @@ from workflow.experiments import make_parts, parse_parameters, read_parameters
 NOTEBOOKS = sorted((Path(__file__).parents[2] / "notebooks").glob("*.ipynb"))
 DEFAULTS = {
     "trajectory": "zigzag", "noise": ["random-walk"], "value": 1.0, "count": 1, "deep": False, "overrides": {},
-    "any": None, "results_dir": "", "seed": 1, "seeds": [1], "blind_s": [[1.0, 2.0]],
+    "any": None, "results_dir": "", "seed": 1, "seeds": [1], "blind_s": [[1.0, 2.0]], "duration_s": 5.0,
 }  # fmt: skip
 
 
@@ -74,6 +74,7 @@ def test_every_parameter_of_every_notebook_refuses_what_it_cannot_be(path: Path)
         ("01", {"seeds": 0}, ["seeds = 0", "greater than 0"]),
         ("01", {"drift_s": 59.0}, ["drift_s = 59: expected at least 60"]),
         ("01", {"noise": ["random-wolk"]}, ["random-wolk"]),
+        ("01", {"noise": ["random-walk", "tilt"]}, ["noise = 'tilt'", "expected a drift"]),
         ("01", {"overrides": {"flight.trajectory": "orbit"}}, ["'vertical'", "'orbit' in the overrides"]),
         ("02", {"overrides": {"seed": 5}}, ["seed = 'report', and 5"]),
         ("02", {"correction": []}, ["correction = []", "at least 1"]),
@@ -88,8 +89,13 @@ def test_every_parameter_of_every_notebook_refuses_what_it_cannot_be(path: Path)
         ("04", {"overrides": {"hough.dx_m": 0.05}}, ["hough.dx_m = 0.05", "the family 'clouds'"]),
         ("04", {"overrides": {"max_correspondence_m": 0.3}}, ["max_correspondence_m = 0.3: '3-DoF ICP, 0.1 m'", "0.1"]),
         ("04", {"overrides": {"tof.blind_s": [[1.0, 2.0]]}}, ["tof.blind_s", "icp-3dof"]),
-        ("04", {"poor_starts": 2, "duration_s": 0.5}, ["poor_starts = 2 with duration_s = 0.5", "at most 1"]),
+        (
+            "04",
+            {"poor_starts": 2, "duration_s": 0.5, "blind_s": []},
+            ["poor_starts = 2 with duration_s = 0.5", "at most 1"],
+        ),
         ("04", {"blind_s": [[75.0, 60.0]]}, ["blind_s: [75.0, 60.0]"]),
+        ("04", {"blind_s": [[60.0, 75.0], [230.0, 240.0]]}, ["blind_s: [230.0, 240.0] with duration_s = 240"]),
         ("04", {"step_m": 2.0}, ["step_m = 2 with reach_m = 1.2"]),
         ("05", {"mapped": ["none", "smoothed"]}, ["mapped = 'smoothed'"]),
         ("06", {"slow": ["gms"]}, ["slow = 'gms', did you mean 'gmm'"]),
@@ -98,12 +104,19 @@ def test_every_parameter_of_every_notebook_refuses_what_it_cannot_be(path: Path)
         ("06", {"cloud_seeds": {"heavi": [1]}}, ["cloud_seeds = 'heavi'"]),
         ("06", {"cloud_seeds": {"heavy": ["report"]}}, ["cloud_seeds.heavy = ['report']", "numbers"]),
         ("06", {"seeds": ["report"]}, ["seeds = ['report']", "numbers"]),
+        ("06", {"cloud_s": 0.1}, ["cloud_s = 0.1", "expected two scans"]),
+        ("06", {"map_dx_m": [1e-6]}, ["map_dx_m.0 = 1e-06", "0.005"]),
+        ("06", {"kept": [1e-9]}, ["kept.0 = 1e-09", "0.05"]),
         ("07", {"overrides": {"flight": {"trajectory": "loops"}}}, ["'zigzag'", "'loops'"]),
         ("07", {"seeds": [1, 2], "overrides": {"seed": 1}}, ["seed = 2, and 1 in the overrides"]),
         ("07", {"tower": ["tapered", "light"], "overrides": {"tower": "light"}}, ["tower = 'tapered', and 'light'"]),
         ("07", {"tower": ["tapered", "hevy"]}, ["tower = 'hevy'"]),
         ("08", {"study_folder": "results"}, ["study_folder = 'results'", "runs.parquet"]),
+        ("08", {"noise": ["tilt"]}, ["noise = 'tilt'", "'random-walk+tilt'"]),
+        ("08", {"method": ["average"]}, ["method = 'average'", "'smoothed'"]),
+        ("08", {"method": ["deepvo"], "noise": ["constant-drift"]}, ["noise = 'constant-drift'", "'random-walk'"]),
         ("10", {"methods": ["orb", "lam"]}, ["methods = 'lam', did you mean 'loam'"]),
+        ("10", {"methods": ["report-icp"]}, ["methods = 'report-icp'", "'icp'"]),
         (
             "11",
             {"flights": ["loops", "plannd"]},
@@ -112,6 +125,8 @@ def test_every_parameter_of_every_notebook_refuses_what_it_cannot_be(path: Path)
         ("11", {"overrides": {"flight.standoff_m": 3.0}}, ["flight.standoff_m = 3.0: 'wide loops' sets it to 2.4"]),
         ("12", {"starts_folder": "notebooks"}, ["starts_folder = 'notebooks'", "starts.csv"]),
         ("12", {"claims_file": "no.toml"}, ["claims_file = 'no.toml'"]),
+        ("12", {"claims_file": "README.md"}, ["claims_file = 'README.md'", "not a file of claims"]),
+        ("12", {"frames_folder": "results/claims"}, ["frames_folder = 'results/claims'", "segmentation-seeds"]),
         ("13", {"recording": "no.bag"}, ["recording = 'no.bag'"]),
         ("13", {"method": "orb"}, ["method = 'orb'", "no images"]),
         ("13", {"range_max_m": 0.001}, ["range_max_m = 0.001", "more than a voxel"]),
@@ -135,6 +150,8 @@ def test_what_cannot_be_flown_or_drawn_is_refused(notebook: str, given: dict, wo
         ("02", {"duration_s": 900.0,
                 "overrides": {"flight.waypoints": [[0.5, 2.5, 0.1, -90.0, 0.0], [0.5, 2.5, 2.0, -90.0, 999.0]]}}),
         ("07", {"seeds": [5], "overrides": {"seed": 5, "tower": "tapered"}}),
+        ("08", {"method": ["report-icp"]}),  # on the report's tower only
+        ("10", {"methods": ["icp", "none"]}),
         ("11", {"flights": ["loops", "planned"], "overrides": {"flight.standoff_m": 3.0}}),
     ],
 )  # fmt: skip

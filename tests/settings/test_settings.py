@@ -45,6 +45,7 @@ from steelnb.simulation.tof import scan_steps
         ({"trajectory": "orbit-3.3", "duration_s": 211.0}, "flight of 211 s: its waypoints end after 208.5 s"),
         ({"duration_s": 0.0}, "duration_s = 0.0"),
         ({"duration_s": "200"}, "duration_s = '200'"),
+        ({"duration_s": float("nan")}, "duration_s = nan: input should be a finite number"),
         ({"overrides": {"tof.rate": 5}}, "TofSettings: rate = 5: unknown setting, did you mean 'rate_hz'"),
         ({"overrides": {"radar.rate_hz": 5}}, "radar.rate_hz"),
         ({"overrides": {"tower.profile_m": ((0.0, 4.0), (20.0, 1.7), (16.0, 1.0))}}, "profile_m = .*rise from 0"),

@@ -1,0 +1,40 @@
+"""Checks of the files that a notebook reads: they are what it expects, and hold what its other parameters select."""
+
+from collections.abc import Mapping
+from typing import Any
+
+from steelnb.core.checks import checked_choice
+from steelnb.core.errors import InputError
+from steelnb.notebook.results import find_root
+
+SOURCES = "study_folder", "frames_folder", "starts_folder", "claims_file"
+"""Parameters that name a file or folder to read."""
+OURS = "trajectory in ['zigzag', 'loops']"
+SENSORS = "sensor.str.startswith('starling2')"
+SELECTED = {
+    "method": ("method", "status == 'ok'"),
+    "methods": ("method", f"{OURS} and {SENSORS} and duration_s == 200 and variant == '' and noise == 'random-walk'"),
+    "noise": ("noise", f"{OURS} and sensor == 'starling2' and variant in ['', 'blind']"),
+}
+"""Parameter of notebooks 08 and 10 → the column of the study that it selects by, and the rows that it selects from."""
+
+
+def check_source(name: str, values: Mapping[str, Any]) -> None:
+    """Raise `InputError` if a notebook cannot read what one of its `SOURCES` names, and if one of its other parameters
+    selects no row of a study that has rows to select from. A study may lack whole parts."""
+    from steelnb.notebook import basin, claims, single_frames, study
+
+    readers: Mapping[str, Any] = {
+        "study_folder": study.read_runs, "frames_folder": single_frames.frame_runs,
+        "starts_folder": basin.start_runs, "claims_file": claims.read_claims,
+    }  # fmt: skip
+    try:
+        found = readers[name](find_root() / values[name])
+    except InputError as fault:
+        raise InputError(f"{name} = {values[name]!r}: {fault}") from None
+    for chosen, (column, rows) in SELECTED.items() if name == "study_folder" else ():
+        if chosen in values:
+            known = sorted(found.query(rows)[column].unique())
+            found = found[found[column].isin(values[chosen])]
+            if known and found.query(rows).empty:
+                checked_choice(values[chosen][0], chosen, known)
