@@ -16,13 +16,13 @@ from steelnb.io import messages as ros
 from steelnb.io.clocks import taken_together
 from steelnb.io.containers import Container, LostIndexError
 from steelnb.io.frames import Frames, drone_axes, sensor_frames, world_axes
-from steelnb.io.headers import Headers, frame_name, whole_path
+from steelnb.io.headers import Headers, whole_path
 from steelnb.io.inertial import readings_of
 from steelnb.io.opened import Opened
 from steelnb.io.scanning import Raw
 from steelnb.io.topics import PoseSource, camera_topic, imu_topics, pose_source, scan_topic
 from steelnb.io.trajectories import check_units, read_trajectory, trajectory_of
-from steelnb.io.transforms import Tree, check_order, is_body_name, is_world_name
+from steelnb.io.transforms import Tree, check_order, frame_name, is_body_name, is_world_name
 
 BURST_S = 0.1
 """Of the poses within this time, the first tells the unit."""

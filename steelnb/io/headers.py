@@ -16,12 +16,14 @@ from steelnb.io.containers import Container
 from steelnb.io.layouts import cloud_layout, depth_layout
 from steelnb.io.scanning import Raw
 from steelnb.io.trajectories import trajectory_of
-from steelnb.io.transforms import STILL, Tree
+from steelnb.io.transforms import STILL, Tree, frame_name
 
 STEADY_S = 1.0
 """Median deviation of stamps from the times of recording, below which these compare two clocks."""
 STEP_SHARE_MIN = 0.05
 """Minimum interval of stamps, as a share of that of the times of recording; a simulation may be slow."""
+JUMP_M, JUMP_SHARE = 0.05, 0.5
+"""Poses jump to and fro if most are farther than this from the next, and much nearer to the one after it."""
 SAME_PLACE_M = 0.05
 """Largest distance of poses of one stamp in messages of one path."""
 
@@ -156,7 +158,17 @@ class Headers:
         """`rows` of the messages of a topic that are about one of its `pairs`."""
         same = [each for each in self.frames_of[topic] if each == pair or _is_less(each, pair)]
         rows = np.concatenate([np.array(self._table[topic, each]).reshape(-1, values + 2) for each in same])
-        return self._right(rows[np.argsort(rows[:, 1], kind="stable")] if len(same) > 1 else rows, what)
+        found = self._right(rows[np.argsort(rows[:, 1], kind="stable")] if len(same) > 1 else rows, what)
+        self._note_jumps(found, topic)
+        return found
+
+    def _note_jumps(self, rows: Array, what: str) -> None:
+        """Note if poses jump to and fro from row to row ``(N, 8)``."""
+        if rows.shape[1] != 8 or len(rows) < 4:
+            return
+        next_m, second_m = (np.median(np.linalg.norm(rows[k:, 1:4] - rows[:-k, 1:4], axis=1)) for k in (1, 2))
+        if next_m > JUMP_M and second_m < JUMP_SHARE * next_m:
+            self.notes[f"{what} jumps {next_m:.2g} m to and fro: two programs may send it"] = None
 
     def _right(self, rows: Array, what: str) -> Array:
         """Rows of stamp and values, of rows of stamp, time of recording and values, where stamps are right."""
@@ -201,6 +213,7 @@ class Headers:
         for key in [key for key in self._table if isinstance(key, Link)]:
             parent, child, is_static = key
             rows = self._right(np.array(self._table[key]).reshape(-1, 9), "transform")
+            self._note_jumps(rows, f"{parent} → {child}")
             if not is_static and len(rows) > 1 and not np.ptp(rows[:, 0]) and np.ptp(rows[:, 1:], axis=0).max() > STILL:
                 self.unstamped[child] = f"transforms {parent} → {child} move, but all have the stamp {rows[0, 0]:g} s"
                 continue
@@ -222,11 +235,6 @@ class Headers:
 def _is_less(pair: tuple[str, str], other: tuple[str, str]) -> bool:
     """Whether a pair of names is another one with empty names in it."""
     return pair != other and all(a in ("", b) for a, b in zip(pair, other, strict=True))
-
-
-def frame_name(name: str) -> str:
-    """Name of a frame; ROS 1 allowed a slash before it."""
-    return name.lstrip("/")
 
 
 def whole_path(earlier: Sequence[Array], last: Array) -> Array:

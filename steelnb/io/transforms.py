@@ -175,6 +175,11 @@ def _ways(start: str, steps: Iterable[tuple[str, str]]) -> dict[str, list[str]]:
     return ways
 
 
+def frame_name(name: str) -> str:
+    """Name of a frame; ROS 1 allowed a slash before it."""
+    return name.lstrip("/")
+
+
 def _last(frame: str) -> str:
     """Name of a frame without its namespace."""
     return frame.rpartition("/")[2]

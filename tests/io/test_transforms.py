@@ -89,6 +89,14 @@ def test_quaternions_that_begin_with_w_are_noted(bag):
     assert "upright if quaternions were w, x, y, z" in flight.facts["notes"]
 
 
+def test_two_programs_that_send_one_transform_are_noted(bag):
+    bag.clouds().moving("odom", "base_link").tf("base_link", "tof", MOUNT)
+    slow = Trajectory(np.arange(40) * 0.02, np.tile(np.eye(4), (40, 1, 1)))
+    slow.T_world_drone[:, 0, 3] = slow.stamp_s + 1.5 * (np.arange(40) % 2)
+    flight = read_flight(bag.odometry(trajectory=slow).write())
+    assert "/odom jumps 1.5 m to and fro: two programs may send it" in flight.facts["notes"]
+
+
 @pytest.mark.parametrize(("world", "named"), [("odom", None), ("camera_init", None), ("uav1/odom", "/tf")])
 def test_poses_are_those_of_a_chain_of_moving_transforms(bag, world, named):
     ground, up = DRONE.T_world_drone.copy(), np.tile(np.eye(4), (5, 1, 1))
