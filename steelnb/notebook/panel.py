@@ -48,12 +48,12 @@ class ShownFlight:
 class Panel:
     """Controls above a scene. Every change of a control runs the flight again and redraws the scene in place."""
 
-    def __init__(self, duration_s: float, overrides: Mapping[str, Any], **first: Any) -> None:
+    def __init__(self, duration_s: float, overrides: Mapping[str, Any], tower: str | None = None, **first: Any) -> None:
         """``first``: trajectory, noise, level (times the noise), sensor, method and seed of the first flight.
         Raises `InputError` for a value that cannot be chosen."""
         import ipywidgets as widgets
 
-        self._fixed: dict[str, Any] = {"duration_s": duration_s, "overrides": dict(overrides)}
+        self._fixed: dict[str, Any] = {"duration_s": duration_s, "overrides": dict(overrides), "tower": tower}
         self.settings(**first)
         choices = {
             "trajectory": TRAJECTORIES,
