@@ -1,11 +1,12 @@
 """Flights recorded in bags: which topics, clocks and frames, and the scans one by one."""
 
+import itertools
 from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from functools import partial
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -16,9 +17,9 @@ from steelnb.io import messages as ros
 from steelnb.io.clocks import taken_together
 from steelnb.io.containers import Container, LostIndexError
 from steelnb.io.frames import Frames, drone_axes, sensor_frames, world_axes
-from steelnb.io.headers import Headers, whole_path
+from steelnb.io.headers import Headers
 from steelnb.io.inertial import readings_of
-from steelnb.io.opened import Opened
+from steelnb.io.opened import Opened, joined_parts
 from steelnb.io.scanning import Raw
 from steelnb.io.topics import PoseSource, camera_topic, imu_topics, pose_source, scan_topic
 from steelnb.io.trajectories import check_units, read_trajectory, trajectory_of
@@ -64,15 +65,14 @@ class _Bag:
         self.headers.read(topic, *source.topics, *source.tf, *imus, *(self.bag.of_type(ros.CAMERA) if is_depth else ()))
         cameras, tree = self._cameras(topic) if is_depth else [], self.headers.tree()
         stamp_s, log_s = self.headers.scan_stamps(topic)
-        if not self.clock.offset_s:
-            self.headers.check_clocks(topic)
         stamp_s += self.clock.offset_s
         for frame, text in self.headers.unstamped.items():
             if any(each == frame or tree.between(frame, each) for each in set(self.headers.scan_frames)):
                 raise InputError(f"{self.bag.path}: {text}; expected the time of each (--clock bag: of recording)")
         used = [name for name, stamp in zip(self.headers.scan_frames, stamp_s.tolist(), strict=True) if stamp == stamp]
         try:
-            prior, world, body, said = self._poses(source, tree, tree.resolve(Counter(used).most_common(1)[0][0]))
+            sensor = tree.resolve(Counter(used).most_common(1)[0][0])
+            prior, world, body, said = self._poses(source, topic, tree, sensor)
             frames = sensor_frames(tree, world, body, self.headers.scan_frames, stamp_s, is_depth, mount)
         except InputError as fault:
             raise InputError(str(fault) if str(self.bag.path) in str(fault) else f"{self.bag.path}: {fault}") from None
@@ -100,31 +100,38 @@ class _Bag:
         walk, first = partial(self._walk, topic, cameras, frames, groups), [group[0] for group in groups]
         return Opened(frames.stamp_s[first], walk, prior, frames.T_drone_sensor, facts, readings, self.headers.skipped)
 
-    def _poses(self, source: PoseSource, tree: Tree, sensor: str) -> tuple[Trajectory, str, str, str]:
+    def _poses(self, source: PoseSource, scans: str, tree: Tree, sensor: str) -> tuple[Trajectory, str, str, str]:
         """Poses of the drone, names of the world and of the drone's frame, and the source in words."""
         world, body, topic = "", "", source.topics[0] if source.topics else ""
-        for each in source.topics if source.pair else ():
-            self._add_objects(each, tree, sensor)
         if source.uses_tf:
             try:
                 world, body = map(tree.resolve, source.pair or check_order(*tree.drone(sensor)))
-                return self._turned(tree.poses(world, body), world, body), world, body, f"tf {world} → {body}"
+                found = tree.poses(world, body)
             except InputError:
-                if not topic:
+                named = [each for each in source.topics if source.pair in (None, *self.headers.objects(each))]
+                if not named:
                     raise
+                topic = named[0]
+            else:
+                for each in itertools.pairwise(tree.between(world, body) or ()):
+                    self._check_clocks(scans, each if each in tree.edges else each[::-1])
+                return self._turned(found, world, body), world, body, f"tf {world} → {body}"
         if source.file:
             found, said = read_trajectory(source.file, self.headers.skipped), source.file
         elif self.bag.types[topic] == ros.PATH:
             found, world, said = self._path(topic)
-        elif not (pairs := self.headers.pairs(topic)):
+        elif not (objects := [*self.headers.objects(topic)]):
             raise self.headers.faults[topic]
-        elif len(pairs) == 1:
-            (world, body), said, found = check_order(*pairs[0]), topic, self._object(topic, pairs[0])
-        else:  # as those of tf
-            self._add_objects(topic, tree, sensor)
-            world, body = check_order(*tree.drone(sensor))
-            found, said = tree.poses(world, body), f"{topic} {world} → {body}"
-            self.headers.notes[f"{topic} has poses of several frames; those of {body} in {world} are used"] = None
+        else:
+            pair, said = source.pair or objects[0], topic
+            if len(objects) > 1:
+                pair = source.pair or self._drone(topic, objects, tree, sensor)
+                said = f"{topic} {' → '.join(filter(None, pair))}"
+                self.headers.notes[f"{topic} has poses of several frames; those of {pair[1]} in {pair[0]} are used"] = (
+                    None
+                )
+            (world, body), found = check_order(*pair), self._object(topic, pair)
+            self._check_clocks(scans, topic)
         if not body and not is_body_name(body := tree.body_of(sensor)):
             self.headers.notes[f"poses are taken for those of {body}, to which {sensor} is fixed"] = None
         body = tree.resolve(body)
@@ -140,12 +147,18 @@ class _Bag:
         rows = self.headers.of_object(topic, pair, 7, "pose")
         return trajectory_of(self.bag.path, rows, self.headers.skipped)
 
-    def _add_objects(self, topic: str, tree: Tree, sensor: str) -> None:
-        """Add the poses of all objects on a topic to the transforms."""
-        for pair in self.headers.pairs(topic):
-            parent, child = pair[0], pair[1] or tree.body_of(sensor)
-            if (parent, child) not in tree.edges:
-                tree.add(parent, child, self._object(topic, pair))
+    def _check_clocks(self, scans: str, poses: Any) -> None:
+        if not self.clock.offset_s:
+            self.headers.check_clocks(scans, poses)
+
+    def _drone(self, topic: str, objects: list[tuple[str, str]], tree: Tree, sensor: str) -> tuple[str, str]:
+        """The object on a topic that is the drone, chosen as among the frames of tf."""
+        named = {(frame, child or tree.body_of(sensor)): (frame, child) for frame, child in objects}
+        known = Tree()
+        known.edges = {key: edge for key, edge in tree.edges.items() if edge.path is None}
+        for names, pair in named.items():
+            known.add(*names, self._object(topic, pair))
+        return named.get(drone := known.drone(sensor), drone)
 
     def _turned(self, poses: Trajectory, world: str, body: str) -> Trajectory:
         """Poses of the drone's axes, z up, from those of a frame in a frame of the world."""
@@ -161,21 +174,21 @@ class _Bag:
     def _path(self, topic: str) -> tuple[Trajectory, str, str]:
         """Poses of a Path topic: those of its longest message, and the latest of others: some grow, and others keep
         the latest poses."""
-        if self.clock.by_log or self.headers.longest is None:
+        longest = self.headers.paths.longest
+        if self.clock.by_log or longest is None:
             raise InputError(
                 f"{topic}: the poses of a Path have only their own stamps; expected another topic of poses"
             )
-        message = self.bag.decode(self.headers.longest)
-        rows = np.array([ros.stamped_pose(each) for each in message.poses], dtype=float).reshape(-1, 8)
-        joined = whole_path(self.headers.earlier_paths, rows)
-        found = trajectory_of(self.bag.path, joined, self.headers.skipped)
-        more = f" and {len(joined) - len(rows)} of others" if len(joined) > len(rows) else ""
-        return found, frame_name(message.header.frame_id), f"{topic} (the longest Path of it, {len(rows)} poses{more})"
+        rows, own = self.headers.paths.poses(longest)
+        found = trajectory_of(self.bag.path, rows, self.headers.skipped)
+        more = f" and {len(rows) - own} of others" if len(rows) > own else ""
+        world = frame_name(self.bag.decode(longest).header.frame_id)
+        return found, world, f"{topic} (the longest Path of it, {own} poses{more})"
 
     def _cameras(self, topic: str) -> Cameras:
         """The cameras of depth images, and notes on what is left out or contradicts."""
         names = (topic, *self.headers.cameras)
-        frame_of = {name: self.headers.pairs(name)[0][0] for name in names}
+        frame_of = {name: next(iter(self.headers.objects(name)))[0] for name in names}
         cameras = self.headers.cameras[camera_topic(self.bag, topic, frame_of)]
         if "rect" in topic.rpartition("/")[2]:
             cameras = [(begin_s, camera.rectified()) for begin_s, camera in cameras]
@@ -193,7 +206,7 @@ class _Bag:
 
     def _imu(self, topic: str, tree: Tree, body: str, poses: Trajectory) -> Imu | None:
         """Inertial samples in the axes of the drone, if a transform relates them; None if none is of use."""
-        pair, *others = self.headers.pairs(topic)
+        pair, *others = self.headers.objects(topic)
         rows, frame = self.headers.of_object(topic, pair, 6, "inertial sample"), pair[0]
         if others:
             self.headers.notes[f"{topic} has readings of several frames; those of {frame} are used"] = None
@@ -225,22 +238,7 @@ class _Bag:
             if k in wanted:
                 parts.append(partial(points, raw, k))
             if k in ends:
-                yield partial(_joined, parts)
+                yield partial(joined_parts, parts)
                 parts = []
             if k >= last:
                 return
-
-
-def _joined(parts: list[Callable[[], Array]]) -> Array:
-    """The points of all parts of a scan that can be read. Raises `InputError` if there are none."""
-    if len(parts) == 1:
-        return parts[0]()
-    found, faults = list[Array](), list[InputError]()
-    for part in parts:
-        try:
-            found.append(part().reshape(-1, 3))
-        except InputError as fault:
-            faults.append(fault)
-    if not found:
-        raise faults[0]
-    return np.concatenate(found)

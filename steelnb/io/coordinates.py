@@ -13,7 +13,7 @@ STRAY_M, STRAY_DISTANCES, STRAY_SHARE = 1e4, 1000.0, 0.01
 such as zeros among the coordinates of a survey."""
 STEP_MAX_M, FAR_FROM_ZERO_M, ROUNDED_POINTS = 0.02, 1e4, 100
 """Largest step between coordinates; those below the second are left as they are, as are few points."""
-DEGREE_EXTENTS, DEGREES_MIN, DEGREES_FROM_ZERO = 1e3, 1e-6, 1500.0
+DEGREE_EXTENTS, DEGREES_MIN, DEGREES_FROM_ZERO = 1e3, 1e-6, 5000.0
 """Coordinates in degrees extend so many times less than heights in metres, and more than rounding; and they are so many
 times as far from zero, as only a tube is that is not at the origin."""
 

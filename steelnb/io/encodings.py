@@ -63,7 +63,10 @@ def decoded(data: bytes) -> bytes:
         raise ValueError(what)
     if (at := data.find(b"\0")) >= 0:
         raise ValueError(f"byte {at} is zero; expected plain text")
-    return data if _is_utf8(data) else data.decode("cp1252", "replace").encode()
+    if _is_utf8(data):
+        return data
+    lines = data.split(b"\n")  # some programs copy labels in other encodings
+    return b"\n".join(line if _is_utf8(line) else line.decode("cp1252", "replace").encode() for line in lines)
 
 
 def _is_utf8(data: bytes) -> bool:

@@ -89,8 +89,9 @@ def sensor_frames(
             f"scans are in {main!r}, a frame of the world, which nothing relates to {body!r}; expected scans in the "
             "frame of the sensor, or --mount if they are"
         )
-    spaces = {each.partition("/")[0] for each in (body, main) if "/" in each}
-    if main not in placed and mount is None and len(spaces) > 1:
+    spaces = [each.partition("/")[0] for each in (body, main) if "/" in each]
+    are_two = len({*spaces}) == 2 and len({re.sub(r"[\d_]", "", each) for each in spaces}) == 1  # uav1 and uav2
+    if main not in placed and mount is None and are_two:
         raise InputError(
             f"scans are in {main!r}, poses of {body!r}, and nothing relates them: of two drones by their names; "
             "expected those of one, or --mount"

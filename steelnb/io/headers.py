@@ -1,9 +1,8 @@
 """One pass over the small messages of a bag and the headers of its scans."""
 
+import itertools
 from array import array
 from collections import Counter, defaultdict
-from collections.abc import Sequence
-from contextlib import suppress
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -11,21 +10,21 @@ import numpy as np
 from steelnb.core.errors import InputError
 from steelnb.core.types import Array
 from steelnb.io import messages as ros
-from steelnb.io.clocks import FAR_S, OF_BAG, ONE_CLOCK, far_stamps, rising_stamps
+from steelnb.io.clocks import OF_BAG, ONE_CLOCK, far_stamps, rising_stamps
 from steelnb.io.containers import Container
 from steelnb.io.layouts import cloud_layout, depth_layout
+from steelnb.io.path_messages import PathMessages
 from steelnb.io.scanning import Raw
 from steelnb.io.trajectories import trajectory_of
 from steelnb.io.transforms import STILL, Tree, frame_name
 
-STEADY_S = 1.0
-"""Median deviation of stamps from the times of recording, below which these compare two clocks."""
+STEADY_S, CLOCKS_APART_S = 1.0, 10.0
+"""Median deviation of stamps from the times of recording, below which these compare two clocks; and the minimum
+difference between clocks, more than any latency."""
 STEP_SHARE_MIN = 0.05
 """Minimum interval of stamps, as a share of that of the times of recording; a simulation may be slow."""
 JUMP_M, JUMP_SHARE = 0.05, 0.5
 """Poses jump to and fro if most are farther than this from the next, and much nearer to the one after it."""
-SAME_PLACE_M = 0.05
-"""Largest distance of poses of one stamp in messages of one path."""
 
 
 class Link(NamedTuple):
@@ -41,8 +40,7 @@ class Headers:
 
     ``frames_of``: frame and child frame of the messages of each topic; ``scan_frames``: frame of each scan;
     ``repeated``: numbers of those with the stamp, frame and data of one before; ``shape``: rows and columns of the
-    first; ``cameras`` of topics, each with the stamp from which it holds; ``longest``: the longest Path, the last of
-    its length; ``earlier_paths``: rows of stamp and pose of some before it that did not grow; ``notes`` on what
+    first; ``cameras`` of topics, each with the stamp from which it holds; ``paths``: Path messages; ``notes`` on what
     contradicted itself; ``faults``: of each topic the first message that cannot be decoded; ``skipped``: counts of what
     is left out; ``unstamped``: frames on moving transforms without stamps, and a text on each.
     """
@@ -54,12 +52,11 @@ class Headers:
         self.scan_frames: list[str] = []
         self.repeated: set[int] = set()
         self._of_stamp: list[Any] = []
-        self._late_s = array("d")
+        self._span: dict[tuple[str, tuple[str, str]], list[int]] = {}
+        self._clock_of: dict[Any, Array] = {}
         self.shape: tuple[int, int] | None = None
         self.cameras: dict[str, list[tuple[float, ros.CameraInfo]]] = defaultdict(list)
-        self.longest: Raw | None = None
-        self.earlier_paths: list[Array] = []
-        self._until_path = 0
+        self.paths = PathMessages(bag.decode)
         self.notes: dict[str, None] = {}
         self.faults: dict[str, InputError] = {}
         self.skipped = Counter[str]()
@@ -69,7 +66,7 @@ class Headers:
         """Store the values of small messages, and stamps and frames of the scans. Raises `InputError`."""
         for raw in self._bag.messages(scans, *others):
             if raw.kind == ros.PATH:  # decoding each message of a path that grows takes the square of its length
-                self._look_at_path(raw)
+                self.paths.add(raw)
                 continue
             try:
                 self._store(raw, self._bag.decode(raw), raw.topic == scans)
@@ -89,20 +86,18 @@ class Headers:
             for each in message.transforms:
                 names = frame_name(each.header.frame_id), frame_name(each.child_frame_id)
                 key = Link(*names, raw.topic.endswith("tf_static"))
-                stamp_s, log_s = self.times(raw, each)
-                self._table[key].extend((stamp_s, log_s, *ros.pose_numbers(each, ros.TRANSFORM)))
-                self._late_s.extend([] if key.is_static else [stamp_s - log_s])
+                self._table[key].extend((*self.times(raw, each), *ros.pose_numbers(each, ros.TRANSFORM)))
             return
         pair = frame_name(message.header.frame_id), frame_name(getattr(message, "child_frame_id", ""))
         self.frames_of[raw.topic][pair] += 1
+        self._span.setdefault((raw.topic, pair), [raw.log_ns, raw.log_ns])[1] = raw.log_ns
         if raw.kind == ros.CAMERA:
             camera, so_far = ros.camera_of(message), self.cameras[raw.topic]
             if not so_far or not camera.equals(so_far[-1][1]):
                 so_far.append((self.times(raw, message)[0], camera))
             return
         table = self._table[raw.topic if is_scan else (raw.topic, pair)]
-        stamp_s, log_s = self.times(raw, message)
-        table.extend((stamp_s, log_s))
+        table.extend(self.times(raw, message))
         if is_scan:
             self._compare(message)
             self.scan_frames.append(pair[0])
@@ -111,25 +106,11 @@ class Headers:
             table.extend(ros.numbers(message.linear_acceleration, message.angular_velocity))
         else:
             table.extend(ros.pose_numbers(message, raw.kind))
-            self._late_s.append(stamp_s - log_s)
 
     def times(self, raw: Raw, message: Any) -> tuple[float, float]:
         """The stamp that counts and the time of recording, seconds."""
         log_s = raw.log_ns / 1e9
         return log_s if self._by_log else ros.stamp_of(message), log_s
-
-    def _look_at_path(self, raw: Raw) -> None:
-        """Keep the longest Path. Those that do not grow have lost their first poses: of them, one is decoded for every
-        eighth of its poses, since decoding all takes the square of their number."""
-        self._until_path -= 1
-        if self.longest is not None and len(raw.data) <= len(self.longest.data) and self._until_path <= 0:
-            with suppress(InputError):
-                for path in (raw,) if self.earlier_paths else (self.longest, raw):
-                    poses = self._bag.decode(path).poses
-                    self.earlier_paths.append(np.array([ros.stamped_pose(each) for each in poses]).reshape(-1, 8))
-                    self._until_path = len(poses) // 8
-        if self.longest is None or len(raw.data) >= len(self.longest.data):
-            self.longest = raw
 
     def _compare(self, message: Any) -> None:
         """Find out whether a scan repeats one of the latest before it."""
@@ -148,17 +129,24 @@ class Headers:
         self.shape = self.shape or layout.shape
         self.notes |= dict.fromkeys(layout.notes)
 
-    def pairs(self, topic: str) -> list[tuple[str, str]]:
-        """Frame and child frame of each object on a topic, the one with most messages first. Empty names, such as
-        those of the first messages, are of any."""
+    def objects(self, topic: str) -> dict[tuple[str, str], list[tuple[str, str]]]:
+        """Frame and child frame of each object on a topic, the one with most messages first, with all pairs of its
+        messages. Empty names are of any. Names that change once in a while are of one object."""
         found = [pair for pair, _ in self.frames_of[topic].most_common()]
-        return [pair for pair in found if not any(_is_less(pair, each) for each in found)]
+        named = [pair for pair in found if not any(_is_less(pair, each) for each in found)]
+        spans = sorted(self._span[topic, pair] for pair in named)
+        if len(named) > 1 and all(one[1] <= other[0] for one, other in itertools.pairwise(spans)):
+            self.notes[f"{topic} names several frames, one after the other; they are taken for {named[0]}"] = None
+            return {named[0]: found}
+        return {pair: [each for each in found if each == pair or _is_less(each, pair)] for pair in named}
 
     def of_object(self, topic: str, pair: tuple[str, str], values: int, what: str) -> Array:
-        """`rows` of the messages of a topic that are about one of its `pairs`."""
-        same = [each for each in self.frames_of[topic] if each == pair or _is_less(each, pair)]
+        """Rows of stamp and values of the messages of a topic that are about one of its `objects`."""
+        same = self.objects(topic)[pair]
         rows = np.concatenate([np.array(self._table[topic, each]).reshape(-1, values + 2) for each in same])
-        found = self._right(rows[np.argsort(rows[:, 1], kind="stable")] if len(same) > 1 else rows, what)
+        rows = rows[np.argsort(rows[:, 1], kind="stable")] if len(same) > 1 else rows
+        self._clock_of[topic] = rows[:, :2]
+        found = self._right(rows, what)
         self._note_jumps(found, topic)
         return found
 
@@ -187,7 +175,8 @@ class Headers:
             first = "{:.3f} s, recorded at {:.3f} s".format(*rows[far[0]])
             self.skipped[f"scan whose stamp is far from the time of recording (the first: {first})"] = len(far)
         rows[far, 0] = np.nan
-        step_s, log_step_s = np.abs(np.nanmedian(np.diff(rows, axis=0), axis=0)) if len(known) > 1 else (1.0, 1.0)
+        right = rows[~np.isnan(rows[:, 0])]
+        step_s, log_step_s = np.abs(np.median(np.diff(right, axis=0), axis=0)) if len(right) > 1 else (1.0, 1.0)
         if 0 < step_s < STEP_SHARE_MIN * log_step_s:
             note = (
                 f"stamps of scans are {step_s:.2g} s apart, which were recorded every {log_step_s:.2g} s (--clock bag)"
@@ -195,24 +184,30 @@ class Headers:
             self.notes[note] = None
         return rows[:, 0], rows[:, 1]
 
-    def check_clocks(self, scans: str) -> None:
-        """Raise `InputError` if the stamps of the scans are ahead of those of the poses, or behind them, compared with
-        the times of recording: their clocks differ."""
-        rows = np.array(self._table[scans]).reshape(-1, 2)
-        late = [each[np.isfinite(each)] for each in (rows[:, 0] - rows[:, 1], np.array(self._late_s))]
-        if all(len(each) and np.median(np.abs(each - np.median(each))) < STEADY_S for each in late):
-            ahead_s = float(np.median(late[0]) - np.median(late[1]))
-            if abs(ahead_s) > FAR_S:
-                how = f"{abs(ahead_s):.1f} s {'ahead of' if ahead_s > 0 else 'behind'}"
-                remedy = ONE_CLOCK.format(f"{-ahead_s:.1f}", OF_BAG)
-                raise InputError(f"{self._bag.path}: scans are {how} the poses by the times of recording; {remedy}")
+    def check_clocks(self, scans: str, poses: Any) -> None:
+        """Raise `InputError` if the stamps of the scans are ahead of those of ``poses``, a topic or the names of a
+        transform, or behind them, compared with the times at which both were recorded: their clocks differ."""
+        rows = [np.array(self._table[scans]).reshape(-1, 2), self._clock_of.get(poses, np.zeros((0, 2)))]
+        rows = [each[np.isfinite(each[:, 0])] for each in rows]
+        if not all(map(len, rows)) or min(each[-1, 1] for each in rows) <= max(each[0, 1] for each in rows):
+            return
+        late = [each[:, 0] - each[:, 1] for each in rows]
+        ahead_s = float(np.median(late[0]) - np.median(late[1]))
+        is_steady = all(np.median(np.abs(each - np.median(each))) < STEADY_S for each in late)
+        if is_steady and abs(ahead_s) > CLOCKS_APART_S:
+            how = f"{abs(ahead_s):.1f} s {'ahead of' if ahead_s > 0 else 'behind'}"
+            remedy = ONE_CLOCK.format(f"{-ahead_s:.1f}", OF_BAG)
+            raise InputError(f"{self._bag.path}: scans are {how} the poses by the times of recording; {remedy}")
 
     def tree(self) -> Tree:
         """Transforms of tf_static and tf."""
         tree = Tree()
         for key in [key for key in self._table if isinstance(key, Link)]:
             parent, child, is_static = key
-            rows = self._right(np.array(self._table[key]).reshape(-1, 9), "transform")
+            rows = np.array(self._table[key]).reshape(-1, 9)
+            if not is_static:
+                self._clock_of[parent, child] = rows[:, :2]
+            rows = self._right(rows, "transform")
             self._note_jumps(rows, f"{parent} → {child}")
             if not is_static and len(rows) > 1 and not np.ptp(rows[:, 0]) and np.ptp(rows[:, 1:], axis=0).max() > STILL:
                 self.unstamped[child] = f"transforms {parent} → {child} move, but all have the stamp {rows[0, 0]:g} s"
@@ -235,14 +230,3 @@ class Headers:
 def _is_less(pair: tuple[str, str], other: tuple[str, str]) -> bool:
     """Whether a pair of names is another one with empty names in it."""
     return pair != other and all(a in ("", b) for a, b in zip(pair, other, strict=True))
-
-
-def whole_path(earlier: Sequence[Array], last: Array) -> Array:
-    """Rows ``(N, 8)`` of a path of which each message has only the latest poses, rising by stamp: ``last (M, 8)``, and
-    what ``earlier`` ones had before, back to the first that shares no stamp with those after it or has other places."""
-    for rows in reversed(earlier):
-        _, ours, theirs = np.intersect1d(last[:, 0], rows[:, 0], return_indices=True)
-        if not len(ours) or np.abs(last[ours, 1:4] - rows[theirs, 1:4]).max() > SAME_PLACE_M:
-            break
-        last = np.concatenate([last, rows[~np.isin(rows[:, 0], last[:, 0])]])
-    return last[np.argsort(last[:, 0], kind="stable")] if len(earlier) else last

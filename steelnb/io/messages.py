@@ -15,7 +15,7 @@ POSE_COVARIANCE, TRANSFORM = "geometry_msgs/msg/PoseWithCovarianceStamped", "geo
 TF = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 INTEGER_M = 1e-3
 """Unit of integers: REP 118 says so for depth, and PointCloud2 has no unit."""
-FAR_DEPTH_M, FAR_SHARE = 50.0, 0.01
+FAR_DEPTH_M, FAR_SHARE = 65.5, 0.01
 """A depth beyond the first that this share of the pixels has, at twice that of all others, is no depth: simulators and
 converters write 65.535, 1000 or 65504 where they see nothing."""
 CENTRE = 0.2, 0.8
@@ -80,7 +80,7 @@ def depth_points(image: Any, camera: CameraInfo) -> Array:
     if farthest_m > FAR_DEPTH_M:
         is_farthest = depth == farthest_m
         is_shared = is_farthest.sum() >= FAR_SHARE * depth.size
-        if is_shared and np.fmax.reduce(depth[~is_farthest], initial=0) < 0.5 * farthest_m:
+        if is_shared and 0 < np.fmax.reduce(depth[~is_farthest], initial=0) < 0.5 * farthest_m:
             depth[is_farthest] = np.nan
     K, _ = camera_matrix(camera, *shape)
     right = (np.arange(image.width) - K[0, 2]) / K[0, 0]

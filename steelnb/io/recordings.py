@@ -27,8 +27,9 @@ RISING_MIN = 0.5
 """If fewer of the stamps rise, the clock is of no use."""
 FAR_M = 1e6
 """No sensor sees farther. A few such points are no returns; if most are so, the scan is not in metres."""
-SAMPLE, REPEATED_MIN = 1000, 0.02
-"""Number of points of a scan that are compared, and the minimum share of them at one place, which is no return."""
+SAMPLE, REPEATED_MIN, REPEATED_LEAST = 1000, 0.02, 9
+"""Number of points of a scan that are compared, and minima, as a share and as a number, of those at one place, which is
+no return."""
 
 
 @checks_arguments
@@ -169,7 +170,7 @@ def _scan(stamp_s: float, decode: Callable[[], Array]) -> Scan:
         points = np.where(far[..., None], np.nan, points)
     sample = points.reshape(-1, 3)[:: points.size // (3 * SAMPLE) + 1]
     places, counts = np.unique(sample[np.isfinite(sample).all(axis=1)], axis=0, return_counts=True)
-    for place in places[counts > max(REPEATED_MIN * len(sample), 2)]:
+    for place in places[counts > max(REPEATED_MIN * len(sample), REPEATED_LEAST)]:
         points = np.where((points == place).all(axis=-1, keepdims=True), np.nan, points)
     scan = Scan(stamp_s, points)
     return scan if np.isfinite(scan.points).any() else Scan(stamp_s, np.zeros((0, 3)), "no finite point")

@@ -84,7 +84,9 @@ def read_table(path: Path) -> Table:
     is_open = len(cells) > 1 and not cells[-1]
     names, units = _names(heads, {len(cells), len(cells) - is_open}, content[0])
     said = [_words(comment, len(cells)) for comment in reversed(comments)]
-    in_comment = next((words for words in said if len(words) == len(cells)), [])
+    fitting = [words for words in said if len(words) == len(cells)]
+    with_x = [words for words in fitting if any(_plain(word)[0].endswith("x") for word in words)]
+    in_comment = next(iter(with_x + fitting), [])
     plain = [_plain(name) for name in (in_comment if names is None else names)]
     for (name, unit), more in zip(plain, units, strict=False):
         if unit and more and unit != more:
@@ -169,7 +171,7 @@ def _names(heads: list[tuple[int, str]], counts: set[int], begin: int) -> tuple[
     them, or none. Raises ValueError for other lines after the names, and for names that are too few or too many."""
     split = [_cells_of(text) for _, text in heads]
     plain = [[_plain(cell)[0] for cell in cells] for cells in split]
-    are_names = [_are_names(words) for words in plain]
+    are_names = [any(w.endswith("x") for w in words) or sum(w in KNOWN for w in words) > 1 for words in plain]
     fitting = [k for k, cells in enumerate(split) if len(cells) in counts]
     chosen = max([k for k in fitting if are_names[k]] or fitting, default=None)
     if chosen is None:
@@ -210,7 +212,7 @@ def _has_decimal_commas(lines: list[str], separator: str) -> bool:
 
 
 def _words(comment: str, count: int) -> list[str]:
-    """The words of a comment that could be names of columns: one of them is an x, or two are `KNOWN`; units stay with
+    """The words of a comment that could be names of columns: one of them is an x, or all are `KNOWN`; units stay with
     their names. ``count``: of columns, which tells whether "name" or "field" is one of them."""
     comment = comment.rpartition(":")[2].replace("|", " ").strip()
     texts = (HEADING.sub("", comment), comment)
@@ -218,11 +220,9 @@ def _words(comment: str, count: int) -> list[str]:
     words = next((words for words in both if len(words) == count), both[0])
     plain = [_plain(word)[0] for word in words]
     beside = any([word[-1:] for word in plain[k : k + 3]] == ["x", "y", "z"] for k in range(len(plain)))
-    return words if _are_names(plain) and (beside or PROSE.isdisjoint(plain)) else []
-
-
-def _are_names(words: list[str]) -> bool:
-    return any(word.endswith("x") for word in words) or sum(word in KNOWN for word in words) > 1
+    is_of_survey = len(plain) == count > 2 and KNOWN.issuperset(plain)  # northing, easting, height
+    is_named = any(word.endswith("x") for word in plain) or is_of_survey
+    return words if is_named and (beside or PROSE.isdisjoint(plain)) else []
 
 
 def _plain(name: str) -> tuple[str, str]:

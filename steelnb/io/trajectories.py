@@ -73,7 +73,8 @@ def note_on_rotations(poses: Trajectory) -> str:
     q = Rotation.from_matrix(poses.T_world_drone[:, :3, :3]).as_quat()
     as_read, turned = (Rotation.from_quat(each).as_matrix()[:, 2, 2] for each in (q, q[:, [1, 2, 3, 0]]))
     is_odd = np.median(as_read) < UPRIGHT_MIN and np.quantile(turned, 0.1) > UPRIGHT_MIN
-    return "the drone would be upright if quaternions were w, x, y, z; they are read as x, y, z, w" if is_odd else ""
+    words = "the drone hangs upside down, unless quaternions are w, x, y, z; they are read as x, y, z, w"
+    return words if is_odd else ""
 
 
 def unit_of_stamps(stamps: Array) -> str | None:

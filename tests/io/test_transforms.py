@@ -86,7 +86,7 @@ def test_quaternions_that_begin_with_w_are_noted(bag):
     for T, angle in zip(turned, yaw, strict=True):  # x, y, z, w of a reader are w, x, y, z of the writer
         T[:3, :3] = Rotation.from_quat([np.cos(angle / 2), 0, 0, np.sin(angle / 2)]).as_matrix()
     flight = read_flight(bag.clouds().odometry(trajectory=Trajectory(STAMPS, turned)).write())
-    assert "upright if quaternions were w, x, y, z" in flight.facts["notes"]
+    assert "upside down, unless quaternions are w, x, y, z" in flight.facts["notes"]
 
 
 def test_two_programs_that_send_one_transform_are_noted(bag):
