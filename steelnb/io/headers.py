@@ -136,7 +136,8 @@ class Headers:
         named = [pair for pair in found if not any(_is_less(pair, each) for each in found)]
         spans = sorted(self._span[topic, pair] for pair in named)
         if len(named) > 1 and all(one[1] <= other[0] for one, other in itertools.pairwise(spans)):
-            self.notes[f"{topic} names several frames, one after the other; they are taken for {named[0]}"] = None
+            names = " → ".join(filter(None, named[0]))
+            self.notes[f"{topic} names several frames, one after the other; all are taken for {names}"] = None
             return {named[0]: found}
         return {pair: [each for each in found if each == pair or _is_less(each, pair)] for pair in named}
 

@@ -67,11 +67,19 @@ def test_of_several_objects_on_a_topic_the_drone_is_chosen_as_on_tf(bag, kind):
     np.testing.assert_allclose(chosen.prior.T_world_drone, other.T_world_drone, atol=1e-9)
 
 
-def test_first_poses_without_names_are_of_the_same_drone(bag):
-    bag.clouds().odometry(trajectory=poses(5))
-    first = bag.rows[-5][3]
-    first.header.frame_id = first.child_frame_id = ""
+@pytest.mark.parametrize("names", [("", ""), ("map", "base_link"), ("odom", "imu_link")])
+def test_first_poses_with_other_names_are_of_the_same_drone(bag, names):
+    first = bag.clouds().odometry().rows[-5][3]
+    first.header.frame_id, first.child_frame_id = names
     np.testing.assert_allclose(read_flight(bag.write()).prior.T_world_drone, DRONE.T_world_drone, atol=1e-9)
+
+
+def test_a_pair_that_no_topic_has_is_refused_and_no_other_topic_is_taken(bag):
+    path = bag.clouds().odometry().odometry("/goal", poses(5, seed=3), frame="map").moving("odom", "base_link").write()
+    with pytest.raises(InputError, match="no poses of 'bse_link' in 'odom' on tf"):
+        read_flight(path, poses="odom>bse_link")
+    goal = read_flight(path, poses="map>base_link")
+    np.testing.assert_allclose(goal.prior.T_world_drone, poses(5, seed=3).T_world_drone, atol=1e-9)
 
 
 def test_scans_of_one_drone_are_not_given_the_poses_of_another(bag):
