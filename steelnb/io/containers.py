@@ -136,11 +136,9 @@ class Container:
         kinds = {topic: kind.rpartition("/")[2] for topic, kind in sorted(self.types.items())}
         found = f"no topic {name!r}" if name else f"no {role}" if not candidates else f"several topics of {role}"
         found = f"{name} is {kinds[name]}" if name in kinds else found
-        if not candidates:
-            topics = ", ".join(f"{topic} ({kind})" for topic, kind in kinds.items())
-            raise InputError(f"{self.path}: {found}; expected one in the recording, which has {topics}")
-        topics = ", ".join(f"{topic} ({kinds[topic]})" for topic in sorted(candidates))
-        raise InputError(f"{self.path}: {found}; expected one topic of {role}, or its name, among {topics}")
+        topics = ", ".join(f"{topic} ({kinds[topic]})" for topic in sorted(candidates or kinds))
+        expected = f"one topic of {role}, or its name, among" if candidates else "one in the recording, which has"
+        raise InputError(f"{self.path}: {found}; expected {expected} {topics}")
 
     def messages(self, *topics: str) -> Iterator[Raw]:
         """Messages of some topics in the order in which they were recorded; those of one part as in its file."""

@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from steelnb.core.errors import InputError
 from steelnb.core.geometry import transform_points
@@ -170,6 +171,15 @@ def is_optical(frame: str) -> bool:
     """Whether a frame has optical axes by its name."""
     words = _words(frame)
     return "optical" in words[-2:] and words[-1] in OPTICAL_ENDS
+
+
+def note_on_rotations(T_world_drone: Array) -> str:
+    """Note if a drone with poses ``(N, 4, 4)`` is upright only if quaternions are read as w, x, y, z."""
+    q = Rotation.from_matrix(T_world_drone[:, :3, :3]).as_quat()
+    as_read, turned = (Rotation.from_quat(each).as_matrix()[:, 2, 2] for each in (q, q[:, [1, 2, 3, 0]]))
+    is_odd = np.median(as_read) < UPRIGHT and np.quantile(turned, 0.1) > UPRIGHT
+    words = "the drone hangs upside down, unless quaternions are w, x, y, z; they are read as x, y, z, w"
+    return words if is_odd else ""
 
 
 def _words(frame: str) -> list[str]:

@@ -17,8 +17,9 @@ from steelnb.io.clouds import READERS
 from steelnb.io.containers import bags_in, is_bag
 from steelnb.io.encodings import foreign_file
 from steelnb.io.folders import TRUE, named_file, open_clouds
+from steelnb.io.frames import note_on_rotations
 from steelnb.io.opened import Walk
-from steelnb.io.trajectories import interpolate, note_on_rotations, read_trajectory
+from steelnb.io.trajectories import interpolate, read_trajectory
 
 CLOCKS = ("stamps", "bag")
 OFFSET_MAX_S = 1e10
@@ -87,7 +88,7 @@ def read_flight(
     stamp_s, walk, prior, mount, facts, readings, skipped = opened
     if T_drone_sensor is not None:
         mount, facts["mount"] = T_drone_sensor, "as given"
-    if note := note_on_rotations(prior):
+    if note := note_on_rotations(prior.T_world_drone):
         facts["notes"] = "; ".join(filter(None, (facts.get("notes"), note)))
     number, usable = rising_stamps(stamp_s), int((~np.isnan(stamp_s)).sum())
     skipped["scan whose stamp does not rise"] += usable - len(number)

@@ -27,8 +27,6 @@ stamps are not seconds, and a higher median speed in m/s that positions or stamp
 ROTATION_TOLERANCE, QUATERNION_TOLERANCE, LENGTHS = 1e-2, 0.05, (0.5, 2.0)
 """Maximum errors of rotation matrices and of the length of most quaternions, beyond which the numbers are something
 else; and bounds of the length of a single quaternion, which is normalised."""
-UPRIGHT_MIN = 0.7
-"""Minimum cosine between the z axis of a drone and the vertical."""
 OUT_OF_ORDER = "pose out of order, sorted by its stamp"
 STAMPS = ("(?:.*_)?header_stamp", "(?:time_?)?stamp", "time|t", "(?:.*_)?(?:time|stamp|timestamp)|")
 """Patterns of the names of stamps, the preferred first; "" stands for names that are units, such as sec and nsec."""
@@ -66,15 +64,6 @@ def read_trajectory(path: Path | str, skipped: Counter[str] | None = None) -> Tr
             rows, unit = _tum(table), ""
         check_units(rows, unit)
     return trajectory_of(path, rows, Counter() if skipped is None else skipped)
-
-
-def note_on_rotations(poses: Trajectory) -> str:
-    """What is odd about a drone's attitude: it is upright only if quaternions are read as w, x, y, z."""
-    q = Rotation.from_matrix(poses.T_world_drone[:, :3, :3]).as_quat()
-    as_read, turned = (Rotation.from_quat(each).as_matrix()[:, 2, 2] for each in (q, q[:, [1, 2, 3, 0]]))
-    is_odd = np.median(as_read) < UPRIGHT_MIN and np.quantile(turned, 0.1) > UPRIGHT_MIN
-    words = "the drone hangs upside down, unless quaternions are w, x, y, z; they are read as x, y, z, w"
-    return words if is_odd else ""
 
 
 def unit_of_stamps(stamps: Array) -> str | None:

@@ -24,7 +24,7 @@ from steelnb.notebook.cases import (
     with_earlier_runs,
     world_cases,
 )
-from steelnb.notebook.sources import SOURCES, check_source
+from steelnb.notebook.sources import READ_NAMES, check_source
 from steelnb.settings import METHODS, TOWERS, ExperimentSettings, OrbSettings
 from steelnb.settings.experiment import ARGUMENTS, check_given_once
 from steelnb.settings.noise import Noise, at_level
@@ -235,6 +235,6 @@ CHECKS: Mapping[str, Callable[[Values], None]] = {
     "flights": lambda values: check_names("flights", values["flights"], PLANNER_FLIGHTS),
     "cloud_seeds": _check_cloud_seeds,
     "recording": _check_recording,
-    **{name: partial(check_source, name) for name in SOURCES},
+    **{name: partial(check_source, name) for name in READ_NAMES},
 }
 """Parameter → its check."""

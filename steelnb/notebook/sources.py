@@ -7,20 +7,23 @@ from steelnb.core.checks import checked_choice
 from steelnb.core.errors import InputError
 from steelnb.notebook.results import find_root
 
-SOURCES = "study_folder", "frames_folder", "starts_folder", "claims_file"
+READ_NAMES = "study_folder", "frames_folder", "starts_folder", "claims_file"
 """Parameters that name a file or folder to read."""
-OURS = "trajectory in ['zigzag', 'loops']"
-SENSORS = "sensor.str.startswith('starling2')"
+_FLIGHTS = "trajectory in ['zigzag', 'loops']"
+_SENSORS = "sensor.str.startswith('starling2')"
 SELECTED = {
     "method": ("method", "status == 'ok'"),
-    "methods": ("method", f"{OURS} and {SENSORS} and duration_s == 200 and variant == '' and noise == 'random-walk'"),
-    "noise": ("noise", f"{OURS} and sensor == 'starling2' and variant in ['', 'blind']"),
+    "methods": (
+        "method",
+        f"{_FLIGHTS} and {_SENSORS} and duration_s == 200 and variant == '' and noise == 'random-walk'",
+    ),
+    "noise": ("noise", f"{_FLIGHTS} and sensor == 'starling2' and variant in ['', 'blind']"),
 }
 """Parameter of notebooks 08 and 10 → the column of the study that it selects by, and the rows that it selects from."""
 
 
 def check_source(name: str, values: Mapping[str, Any]) -> None:
-    """Raise `InputError` if a notebook cannot read what one of its `SOURCES` names, and if one of its other parameters
+    """Raise `InputError` if a notebook cannot read what one of its `READ_NAMES` names, and if another parameter
     selects no row of a study that has rows to select from. A study may lack whole parts."""
     from steelnb.notebook import basin, claims, single_frames, study
 

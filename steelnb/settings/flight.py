@@ -62,7 +62,9 @@ class FlightSettings(Settings):
         if self.still_s and self.trajectory == "planned":
             raise ValueError(f"still_s = {self.still_s:g}: a pilot steers a planned flight from the start; expected 0")
         if self.duration_s <= self.still_s:
-            raise ValueError(f"still_s = {self.still_s:g}: expected less than the flight's {self.duration_s:g} s")
+            raise ValueError(
+                f"duration_s = {self.duration_s:g} with still_s = {self.still_s:g}: expected a flight after the rest"
+            )
         end_s = self.still_s + sum(seconds)
         if self.waypoints and self.duration_s > end_s + 1e-9:
             raise ValueError(f"flight of {self.duration_s:g} s: its waypoints end after {end_s:g} s")

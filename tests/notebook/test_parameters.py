@@ -83,7 +83,8 @@ def test_every_parameter_of_every_notebook_refuses_what_it_cannot_be(path: Path)
         ("02", {"sensor": "starling2-honest"}, ["draws of the noise", "a sensor without faults"]),
         ("02", {"trajectory": "zigzag"}, ["'zigzag'", "'average' on 'orbit'"]),
         ("03", {"drawn": ["smoothed"]}, ["drawn = 'smoothed'", "'report-gicp'"]),
-        ("03", {"duration_s": 3.0}, ["duration_s = 3 ", "begins at 3.872 s"]),
+        ("03", {"duration_s": 3.0}, ["duration_s = 3 ", "still_s = 4.5"]),
+        ("03", {"duration_s": 3.0, "overrides": {"flight.still_s": 0.0}}, ["duration_s = 3 ", "begins at 3.872 s"]),
         ("03", {"trajectory": ["orbit", "orbit"]}, ["'orbit' twice"]),
         ("03", {"methods": {"icp": ["best"], "gicp": ["best"]}, "drawn": ["best"]}, ["methods = ", "'best' twice"]),
         ("04", {"overrides": {"hough.dx_m": 0.05}}, ["hough.dx_m = 0.05", "the family 'clouds'"]),
@@ -91,7 +92,7 @@ def test_every_parameter_of_every_notebook_refuses_what_it_cannot_be(path: Path)
         ("04", {"overrides": {"tof.blind_s": [[1.0, 2.0]]}}, ["tof.blind_s", "icp-3dof"]),
         (
             "04",
-            {"poor_starts": 2, "duration_s": 0.5, "blind_s": []},
+            {"poor_starts": 2, "duration_s": 0.5, "blind_s": [], "overrides": {"flight.still_s": 0.0}},
             ["poor_starts = 2 with duration_s = 0.5", "at most 1"],
         ),
         ("04", {"blind_s": [[75.0, 60.0]]}, ["blind_s: [75.0, 60.0]"]),
