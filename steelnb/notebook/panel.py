@@ -48,12 +48,17 @@ class ShownFlight:
 class Panel:
     """Controls above a scene. Every change of a control runs the flight again and redraws the scene in place."""
 
-    def __init__(self, duration_s: float, overrides: Mapping[str, Any], tower: str | None = None, **first: Any) -> None:
-        """``first``: trajectory, noise, level (times the noise), sensor, method and seed of the first flight.
-        Raises `InputError` for a value that cannot be chosen."""
+    def __init__(
+        self, trajectory: str, noise: str, level: float, sensor: str, method: str, seed: int, tower: str | None,
+        duration_s: float, overrides: Mapping[str, Any],
+    ) -> None:  # fmt: skip
+        """The first flight, with ``level`` times the drift of a noise; the last three have no control. Raises
+        `InputError` for a value that cannot be chosen."""
         import ipywidgets as widgets
 
         self._fixed: dict[str, Any] = {"duration_s": duration_s, "overrides": dict(overrides), "tower": tower}
+        first: dict[str, Any] = {"trajectory": trajectory, "noise": noise, "sensor": sensor, "method": method}
+        first |= {"level": level, "seed": seed}
         self.settings(**first)
         choices = {
             "trajectory": TRAJECTORIES,

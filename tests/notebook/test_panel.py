@@ -19,7 +19,7 @@ FIRST |= {"sensor": "report-4cm", "method": "icp-3dof", "seed": 1}
 
 
 def make_panel(**other: object) -> Panel:
-    return Panel(6.0, SHORT, **{**FIRST, **other})
+    return Panel(**{**FIRST, "tower": None, "duration_s": 6.0, "overrides": SHORT, **other})
 
 
 @pytest.fixture(scope="module")

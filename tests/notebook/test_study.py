@@ -262,12 +262,15 @@ def test_what_is_given_twice_runs_once(tmp_path, made):
 
 def test_flights_whose_imus_differ_are_not_shared():
     imus = {"": {}, "biased": {"imu.accelerometer_bias": 0.1}}
-    flown = grid(**{**AXES, "seeds": [1], "sensors": ["starling2-honest"], "methods": ["best"]}, variants=imus)
+    flown = grid(
+        **{**AXES, "duration_s": 3.5, "seeds": [1], "sensors": ["starling2-honest"], "methods": ["best"]}, variants=imus
+    )
     assert len({experiment.world(run.settings) for run in flown}) == 2
 
 
 def test_a_table_may_mix_the_seed_report_and_numbers(tmp_path):
-    axes = {**AXES, "methods": ["icp"], "sensors": ["report"], "trajectories": ["vertical"]}
+    still = {"": {"flight.still_s": 0.0}}
+    axes = {**AXES, "methods": ["icp"], "sensors": ["report"], "trajectories": ["vertical"], "variants": still}
     table = run_study([run.settings for run in grid(**{**axes, "seeds": [7, "report"]})], folder=tmp_path)
     assert table["seed"].tolist() == ["7", "report"]
     write_runs(tmp_path / "out", table)
