@@ -59,8 +59,9 @@ def cloud_points(message: Any) -> Array:
         kind = np.dtype(order + POINT_TYPES[field.datatype])
         raw = np.ndarray(shape, kind, message.data, field.offset, strides)
         points[..., k] = raw
-        points[..., k] *= INTEGER_M if kind.kind != "f" else 1.0
-        points[..., k][no_return(raw)] = np.nan
+        if kind.kind != "f":
+            points[..., k] *= INTEGER_M
+            points[..., k][no_return(raw)] = np.nan
     points[~np.isfinite(points[..., 0] + points[..., 1] + points[..., 2])] = np.nan
     return points if min(shape) > 1 else points.reshape(-1, 3)
 

@@ -26,6 +26,8 @@ OFFSET_MAX_S = 1e10
 """Three centuries, more than any two clocks differ."""
 RISING_MIN = 0.5
 """If fewer of the stamps rise, the clock is of no use."""
+WEIGHTS = np.array([1.0, np.e, np.pi])
+"""Sums of coordinates with these weights are equal at one place only."""
 FAR_M = 1e6
 """No sensor sees farther. A few such points are no returns; if most are so, the scan is not in metres."""
 SAMPLE, REPEATED_MIN, REPEATED_LEAST = 1000, 0.02, 9
@@ -165,13 +167,15 @@ def _scan(stamp_s: float, decode: Callable[[], Array]) -> Scan:
     except InputError as fault:  # a damaged message or file only loses one scan
         return Scan(stamp_s, np.zeros((0, 3)), f"unreadable scan: {fault}")
     if max(np.fmax.reduce(points, axis=None, initial=0), -np.fmin.reduce(points, axis=None, initial=0)) > FAR_M:
+        points = np.where((np.abs(points) >= np.finfo(np.float32).max).any(axis=-1, keepdims=True), np.nan, points)
         far = np.asarray((np.abs(points) > FAR_M).any(axis=-1))
         if far.sum() > np.isfinite(points).all(axis=-1).sum() / 2:
             return Scan(stamp_s, np.zeros((0, 3)), f"unreadable scan: {far.sum()} points beyond {FAR_M:g} m")
         points = np.where(far[..., None], np.nan, points)
     sample = points.reshape(-1, 3)[:: points.size // (3 * SAMPLE) + 1]
-    places, counts = np.unique(sample[np.isfinite(sample).all(axis=1)], axis=0, return_counts=True)
-    for place in places[counts > max(REPEATED_MIN * len(sample), REPEATED_LEAST)]:
+    with np.errstate(invalid="ignore", over="ignore"):
+        _, first, counts = np.unique(sample @ WEIGHTS, return_index=True, return_counts=True, equal_nan=False)
+    for place in sample[first[counts > max(REPEATED_MIN * len(sample), REPEATED_LEAST)]]:
         points = np.where((points == place).all(axis=-1, keepdims=True), np.nan, points)
     scan = Scan(stamp_s, points)
     return scan if np.isfinite(scan.points).any() else Scan(stamp_s, np.zeros((0, 3)), "no finite point")

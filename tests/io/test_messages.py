@@ -132,8 +132,12 @@ def test_integers_are_millimetres_and_their_largest_value_is_no_return(kind):
 def test_points_at_the_sensor_or_farther_than_any_sees_are_no_returns_or_a_fault():
     few, most = POINTS.copy(), POINTS * 1e6
     few[0, 0, 1], few[1, 2] = np.finfo(np.float32).max, 0.0
-    scans = Scans(lambda _: iter([lambda: few, lambda: most]), np.arange(2), np.arange(2.0))
-    first, second = scans
+    largest = POINTS.copy()
+    largest[1:] = np.finfo(np.float32).max
+    first, second, third = Scans(
+        lambda _: iter([lambda: few, lambda: most, lambda: largest]), np.arange(3), np.arange(3.0)
+    )
+    assert np.isfinite(third.points).sum() == POINTS[0].size
     assert np.isnan(first.points[[0, 1], [0, 2]]).all()
     assert np.isfinite(first.points).sum() == POINTS.size - 6
     assert second.fault == "unreadable scan: 20 points beyond 1e+06 m"
