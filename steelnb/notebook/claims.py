@@ -44,9 +44,6 @@ WORDS = {
     "right": "share of scans that end at their true pose",
 }  # fmt: skip
 """What tables and figures call the metrics."""
-OF_FLIGHTS = ("converged_wrongly",)
-"""Metrics whose level is a share of flights. Each flight counts, also those of one seed: they share its draws, but
-neither path nor scans."""
 COLUMNS = [
     "name", "topic", "claim", "section", "measure", "cell", "estimate", "low", "high", "n_seeds", "threshold",
     "threshold_to", "verdict",
@@ -114,9 +111,9 @@ def judge(claims: dict[str, Claim], runs: pd.DataFrame) -> pd.DataFrame:
     """Estimate what each claim is about over the seeds of some runs: one row per claim and cell.
 
     The columns are ``name``, ``topic``, ``claim``, ``section``, ``measure``, ``cell`` (its values of ``by`` as text),
-    ``estimate`` with its 95 % interval from ``low`` to ``high``, ``n_seeds`` (flights, if `OF_FLIGHTS`), ``threshold``
-    and, for a range, ``threshold_to``, and its `Claim.verdict`. A claim whose runs are missing has one row, `NOT_RUN`,
-    whose ``cell`` says what is missing.
+    ``estimate`` with its 95 % interval from ``low`` to ``high``, ``n_seeds``, ``threshold`` and, for a range,
+    ``threshold_to``, and its `Claim.verdict`. A claim whose runs are missing has one row, `NOT_RUN`, whose ``cell``
+    says what is missing.
     """
     good, rows = runs[runs["status"] == "ok"], []
     for name, claim in claims.items():
@@ -136,8 +133,7 @@ def claim_cells(claim: Claim, runs: pd.DataFrame) -> list[dict[str, Any]]:
     chosen, rows = {**USUAL, **claim.where, **claim.a}, []
     for cell, here in _select(runs, chosen).groupby(claim.by, sort=False):
         at = dict(zip(claim.by, cell, strict=True))
-        one_by_one = claim.form == "level" and claim.metric in OF_FLIGHTS
-        sides = [_values(here, claim.metric) if one_by_one else _by_seed(here, claim.metric)]
+        sides = [_by_seed(here, claim.metric)]
         if claim.form != "level":
             other = {key: value for key, value in claim.b.items() if key != "metric"}
             there = _select(runs, {**chosen, **at, **other})
@@ -220,14 +216,9 @@ def _select(runs: pd.DataFrame, chosen: dict[str, Any]) -> pd.DataFrame:
 
 
 def _by_seed(runs: pd.DataFrame, metric: str) -> pd.Series:
-    """`_values` by seed, averaged over the runs of a seed."""
-    return _values(runs, metric).groupby(level=0).mean()
-
-
-def _values(runs: pd.DataFrame, metric: str) -> pd.Series:
-    """A metric of each run, indexed by its seed. Raises `InputError` for an unknown metric."""
+    """A metric by seed, averaged over the runs of a seed. Raises `InputError` for an unknown metric."""
     try:
         values = np.asarray(DERIVED.get(metric, lambda rows: rows[metric])(runs), dtype=float)
     except (KeyError, ValueError):
         raise InputError(f"metric = {metric!r}: expected a number that runs have") from None
-    return pd.Series(values, index=runs["seed"].to_numpy())
+    return pd.Series(values, index=runs["seed"].to_numpy()).groupby(level=0).mean()
