@@ -120,17 +120,8 @@ class _Bag:
             found, said = read_trajectory(source.file, self.headers.skipped), source.file
         elif self.bag.types[topic] == ros.PATH:
             found, world, said = self._path(topic)
-        elif not (objects := [*self.headers.objects(topic)]):
-            raise self.headers.faults[topic]
         else:
-            pair, said = source.pair or objects[0], topic
-            if len(objects) > 1:
-                pair = source.pair or self._drone(topic, objects, tree, sensor)
-                said = f"{topic} {' → '.join(filter(None, pair))}"
-                self.headers.notes[f"{topic} has poses of several frames; those of {pair[1]} in {pair[0]} are used"] = (
-                    None
-                )
-            (world, body), found = check_order(*pair), self._object(topic, pair)
+            found, (world, body), said = self._of_topic(topic, source.pair, tree, sensor)
             self._check_clocks(scans, topic)
         if not body and not is_body_name(body := tree.body_of(sensor)):
             self.headers.notes[f"poses are taken for those of {body}, to which {sensor} is fixed"] = None
@@ -143,22 +134,37 @@ class _Bag:
             tree.move_still([(world, body)])
         return self._turned(found, world, body), world, body, said
 
+    def _of_topic(
+        self, topic: str, pair: tuple[str, str] | None, tree: Tree, sensor: str
+    ) -> tuple[Trajectory, tuple[str, str], str]:
+        """Poses of the drone on a topic, its world and its frame, and the source in words. Of several objects, the one
+        that ``pair`` names is the drone, or it is chosen as among the frames of tf."""
+        objects = [*self.headers.objects(topic)]
+        if not objects:
+            raise self.headers.faults[topic]
+        if len(objects) == 1:
+            return self._object(topic, objects[0]), check_order(*objects[0]), topic
+        if pair:
+            found = self._object(topic, pair)
+        else:
+            body, known = tree.body_of(sensor), tree.fixed()
+            poses = {(frame, child or body): self._object(topic, (frame, child)) for frame, child in objects}
+            for names, path in poses.items():
+                known.add(*names, path)
+            pair = check_order(*known.drone(sensor))
+            found = poses[pair] if pair in poses else known.poses(*pair)
+        world, body = pair
+        self.headers.notes[f"{topic} has poses of several frames; those of {body} in {world} are used"] = None
+        return found, pair, f"{topic} {world} → {body}"
+
     def _object(self, topic: str, pair: tuple[str, str]) -> Trajectory:
         rows = self.headers.of_object(topic, pair, 7, "pose")
+        self.headers.note_jumps(rows, topic)
         return trajectory_of(self.bag.path, rows, self.headers.skipped)
 
     def _check_clocks(self, scans: str, poses: Any) -> None:
         if not self.clock.offset_s:
             self.headers.check_clocks(scans, poses)
-
-    def _drone(self, topic: str, objects: list[tuple[str, str]], tree: Tree, sensor: str) -> tuple[str, str]:
-        """The object on a topic that is the drone, chosen as among the frames of tf."""
-        named = {(frame, child or tree.body_of(sensor)): (frame, child) for frame, child in objects}
-        known = Tree()
-        known.edges = {key: edge for key, edge in tree.edges.items() if edge.path is None}
-        for names, pair in named.items():
-            known.add(*names, self._object(topic, pair))
-        return named.get(drone := known.drone(sensor), drone)
 
     def _turned(self, poses: Trajectory, world: str, body: str) -> Trajectory:
         """Poses of the drone's axes, z up, from those of a frame in a frame of the world."""

@@ -15,6 +15,7 @@ absolute deviations, which allow for a simulated clock of another speed."""
 
 ONE_CLOCK = "expected one clock (--time-offset {} shifts scans{})"
 OF_BAG = ", --clock bag takes the times of recording"
+"""What to do about clocks that differ, with the seconds of a shift, and with the second text where there is a bag."""
 PARTS_SHARE = 0.3
 """Parts of a scan are recorded within this share of the time to the next scan."""
 

@@ -14,8 +14,8 @@ such as zeros among the coordinates of a survey."""
 STEP_MAX_M, FAR_FROM_ZERO_M, ROUNDED_POINTS = 0.02, 1e4, 100
 """Largest step between coordinates; those below the second are left as they are, as are few points."""
 DEGREE_EXTENTS, DEGREES_MIN, DEGREES_FROM_ZERO = 1e3, 1e-6, 5000.0
-"""Coordinates in degrees extend so many times less than heights in metres, and more than rounding; and they are so many
-times as far from zero, as only a tube is that is not at the origin."""
+"""Coordinates in degrees extend over so many times less than heights in metres, but over more than rounding does, and
+are so many times their extent away from zero, as a thin tube is only if it stands far from the origin."""
 
 
 def is_stray(points: Array) -> NDArray[np.bool_]:

@@ -19,8 +19,8 @@ from steelnb.io.trajectories import trajectory_of
 from steelnb.io.transforms import STILL, Tree, frame_name
 
 STEADY_S, CLOCKS_APART_S = 1.0, 10.0
-"""Median deviation of stamps from the times of recording, below which these compare two clocks; and the minimum
-difference between clocks, more than any latency."""
+"""Two clocks are compared if the stamps of each keep their distance from the times of recording within the first, in
+the median. They differ if these distances differ by more than the second, which exceeds any latency."""
 STEP_SHARE_MIN = 0.05
 """Minimum interval of stamps, as a share of that of the times of recording; a simulation may be slow."""
 JUMP_M, JUMP_SHARE = 0.05, 0.5
@@ -28,7 +28,7 @@ JUMP_M, JUMP_SHARE = 0.05, 0.5
 
 
 class Link(NamedTuple):
-    """A transform of tf_static, which ``is_static`` says, or of tf."""
+    """A transform: of tf_static if ``is_static``, else of tf."""
 
     parent: str
     child: str
@@ -131,7 +131,7 @@ class Headers:
 
     def objects(self, topic: str) -> dict[tuple[str, str], list[tuple[str, str]]]:
         """Frame and child frame of each object on a topic, the one with most messages first, with all pairs of its
-        messages. Empty names are of any. Names that change once in a while are of one object."""
+        messages. Empty names may be those of any. Names that follow one another in time are of one object."""
         found = [pair for pair, _ in self.frames_of[topic].most_common()]
         named = [pair for pair in found if not any(_is_less(pair, each) for each in found)]
         spans = sorted(self._span[topic, pair] for pair in named)
@@ -147,13 +147,11 @@ class Headers:
         rows = np.concatenate([np.array(self._table[topic, each]).reshape(-1, values + 2) for each in same])
         rows = rows[np.argsort(rows[:, 1], kind="stable")] if len(same) > 1 else rows
         self._clock_of[topic] = rows[:, :2]
-        found = self._right(rows, what)
-        self._note_jumps(found, topic)
-        return found
+        return self._right(rows, what)
 
-    def _note_jumps(self, rows: Array, what: str) -> None:
-        """Note if poses jump to and fro from row to row ``(N, 8)``."""
-        if rows.shape[1] != 8 or len(rows) < 4:
+    def note_jumps(self, rows: Array, what: str) -> None:
+        """Note if poses, ``rows (N, 8)``, jump to and fro from row to row."""
+        if len(rows) < 4:
             return
         next_m, second_m = (np.median(np.linalg.norm(rows[k:, 1:4] - rows[:-k, 1:4], axis=1)) for k in (1, 2))
         if next_m > JUMP_M and second_m < JUMP_SHARE * next_m:
@@ -209,7 +207,7 @@ class Headers:
             if not is_static:
                 self._clock_of[parent, child] = rows[:, :2]
             rows = self._right(rows, "transform")
-            self._note_jumps(rows, f"{parent} → {child}")
+            self.note_jumps(rows, f"{parent} → {child}")
             if not is_static and len(rows) > 1 and not np.ptp(rows[:, 0]) and np.ptp(rows[:, 1:], axis=0).max() > STILL:
                 self.unstamped[child] = f"transforms {parent} → {child} move, but all have the stamp {rows[0, 0]:g} s"
                 continue

@@ -16,8 +16,8 @@ TF = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 INTEGER_M = 1e-3
 """Unit of integers: REP 118 says so for depth, and PointCloud2 has no unit."""
 FAR_DEPTH_M, FAR_SHARE = 65.5, 0.01
-"""A depth beyond the first that this share of the pixels has, at twice that of all others, is no depth: simulators and
-converters write 65.535, 1000 or 65504 where they see nothing."""
+"""The farthest depth stands for nothing if it exceeds the first, this share of the pixels has it, and all others are
+less than half as far: simulators and converters write 65.535, 1000 or 65504 where they see nothing."""
 CENTRE = 0.2, 0.8
 """Where a principal point usually is, as a share of the image's size."""
 FOCAL_MIN = 1.0

@@ -27,7 +27,7 @@ OFFSET_MAX_S = 1e10
 RISING_MIN = 0.5
 """If fewer of the stamps rise, the clock is of no use."""
 WEIGHTS = np.array([1.0, np.e, np.pi])
-"""Sums of coordinates with these weights are equal at one place only."""
+"""The sum of the coordinates with these weights differs from place to place."""
 FAR_M = 1e6
 """No sensor sees farther. A few such points are no returns; if most are so, the scan is not in metres."""
 SAMPLE, REPEATED_MIN, REPEATED_LEAST = 1000, 0.02, 9

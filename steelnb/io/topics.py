@@ -10,6 +10,7 @@ from steelnb.core.errors import InputError
 from steelnb.io import messages as ros
 from steelnb.io.containers import Container
 from steelnb.io.encodings import REPLAYED
+from steelnb.io.folders import TRAJECTORIES
 from steelnb.io.layouts import DEPTHS
 
 SCANS = "clouds (PointCloud2 or depth images)"
@@ -98,7 +99,7 @@ def pose_source(bag: Container, name: str | None, scans: str) -> PoseSource:
         if pair := re.fullmatch(r"(?:tf )?\s*/?([^>→]+?)\s*(?:-?>|→)\s*/?([^>→]+?)\s*", name):
             objects = tuple(bag.of_type(ros.ODOMETRY, ros.POSE_STAMPED, ros.POSE_COVARIANCE, ros.TRANSFORM))
             return PoseSource(tf, uses_tf=True, topics=objects, pair=(pair[1], pair[2]))
-    if name and name not in bag.types and (os.path.dirname(name.lstrip("/")) == "" and os.path.splitext(name)[1]):
+    if name and name not in bag.types and os.path.splitext(name)[1].lower() in TRAJECTORIES:
         raise InputError(f"{bag.path}: no topic and no file {name!r}; expected a topic of poses, or a trajectory")
     if name or first:
         topic = bag.choose("poses", name, [*first, *others] if name else first)

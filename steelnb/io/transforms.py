@@ -52,6 +52,12 @@ class Tree:
         if moves or (parent, child) not in self.edges:
             self.edges[parent, child] = Edge(T[-1], None if is_static else path, moves)
 
+    def fixed(self) -> "Tree":
+        """A tree of those of tf_static."""
+        tree = Tree()
+        tree.edges = {key: edge for key, edge in self.edges.items() if edge.path is None}
+        return tree
+
     @property
     def frames(self) -> set[str]:
         """Names of all frames."""
