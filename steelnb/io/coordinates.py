@@ -13,9 +13,10 @@ STRAY_M, STRAY_DISTANCES, STRAY_SHARE = 1e4, 1000.0, 0.01
 such as zeros among the coordinates of a survey."""
 STEP_MAX_M, FAR_FROM_ZERO_M, ROUNDED_POINTS = 0.02, 1e4, 100
 """Largest step between coordinates; those below the second are left as they are, as are few points."""
-DEGREE_EXTENTS, DEGREES_MIN, DEGREES_FROM_ZERO = 1e3, 1e-6, 5000.0
+DEGREE_EXTENTS, DEGREES_MIN, DEGREES_FROM_ZERO, DEGREES_WIDE = 1e3, 1e-6, 5000.0, 0.005
 """Coordinates in degrees extend over so many times less than heights in metres, but over more than rounding does, and
-are so many times their extent away from zero, as a thin tube is only if it stands far from the origin."""
+are so many times their extent away from zero, as a thin tube is only if it stands far from the origin. No tube is as
+wide as the last and so many times taller; a site of half a kilometre is, in degrees."""
 
 
 def is_stray(points: Array) -> NDArray[np.bool_]:
@@ -46,6 +47,7 @@ def check_degrees(path: Path | str, points: Array) -> None:
     extent = np.ptp(points, axis=0)
     in_degrees = bool((np.abs(points[:, :2]) <= (180, 90)).all()) or bool((np.abs(points[:, :2]) <= (90, 180)).all())
     is_far = float(np.abs(points[:, :2]).max()) > DEGREES_FROM_ZERO * extent[:2].max()
+    is_far |= bool(extent[:2].max() > DEGREES_WIDE)
     if in_degrees and is_far and DEGREES_MIN < extent[:2].max() < extent[2] / DEGREE_EXTENTS:
         spans = f"x and y extend over {extent[0]:.2g} and {extent[1]:.2g}, z over {extent[2]:.3g}"
         raise InputError(f"{path}: {spans}, as with longitude and latitude in degrees; expected metres")

@@ -16,7 +16,7 @@ from steelnb.io.clouds import READERS, read_points
 from steelnb.io.containers import is_bag
 from steelnb.io.encodings import foreign_file
 from steelnb.io.opened import Opened, Walk
-from steelnb.io.table_form import read_table
+from steelnb.io.table_form import read_table, unix_us
 from steelnb.io.trajectories import OUT_OF_ORDER, SECONDS, read_trajectory, unit_of_stamps
 
 TRUE = ("groundtruth.tum", "groundtruth.txt", "groundtruth.csv")
@@ -31,6 +31,11 @@ OVERLAP_MIN, NS_DIGITS = 0.5, 16
 nanoseconds."""
 FRACTIONS = {3: "ms", 6: "µs", 9: "ns"}
 NUMBER = re.compile(r"\d+(?:\.\d+)?")
+DATE = re.compile(
+    r"(?<!\d)((?:19|20)\d\d)[-_.]?(\d\d)[-_.]?(\d\d)[-_. T]*(\d\d)[-_.h]?(\d\d)[-_.m]?(\d\d)s?"
+    r"(?:[-_.,]?(\d{1,9}))?(?!\d)"
+)
+"""Date and time, to decimals of a second, as programs that may not use colons write them into names."""
 
 
 def open_clouds(path: Path, scans: str | None, poses: str | None) -> Opened:
@@ -160,7 +165,11 @@ def _stamps(files: Sequence[Path], prior: Trajectory) -> tuple[Array | None, str
 
     A stamp is a number with a decimal point, in seconds; an integer that is a Unix time in s, ms, µs or ns, or in one
     of these units fits the poses; or two integers, Unix seconds and their decimals. The last such number is chosen.
+    Date and time count as a Unix time where the poses have such.
     """
+    dates = _dates(files)
+    if dates is not None and unit_of_stamps(prior.stamp_s) == "s":
+        return dates, "stamped by their names (date and time, taken for UTC)"
     numbers = [NUMBER.findall(file.stem)[::-1] for file in files]
     columns = list(zip(*numbers, strict=False))  # the numbers of each place, the last first
     for column, before in zip(columns, [*columns[1:], None], strict=False):
@@ -169,6 +178,20 @@ def _stamps(files: Sequence[Path], prior: Trajectory) -> tuple[Array | None, str
             if not len(step_s) or ((step_s >= 0).all() and STEP_S[0] <= np.median(step_s) <= STEP_S[1]):
                 return stamp_s, f"stamped by their names ({units})"
     return None, ""
+
+
+def _dates(files: Sequence[Path]) -> Array | None:
+    """Unix times ``(K,)`` of the dates in the names, if all have one, and hardly two the same."""
+    parts = [match.groups(default="") for file in files if (match := DATE.search(file.stem))]
+    decimals = [each[6] for each in parts]
+    if all(decimals) and len({*map(len, decimals)}) == 1 and {*np.diff([*map(int, decimals)])} == {1}:
+        decimals = [""] * len(parts)  # they count
+    try:
+        times = ["{}-{}-{}T{}:{}:{}".format(*each) for each in parts]
+        stamp_s = [unix_us(time) / 1e6 + float(f"0.{part or 0}") for time, part in zip(times, decimals, strict=True)]
+    except ValueError:
+        return None
+    return np.array(stamp_s) if len({*stamp_s}) > len(files) / 2 else None
 
 
 def _readings(column: Sequence[str], before: Sequence[str] | None, prior: Trajectory) -> Iterator[tuple[Array, str]]:

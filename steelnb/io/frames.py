@@ -115,6 +115,12 @@ def sensor_frames(
         chain += [f"{main}, by the poses"] if is_world else placed[main].frames[1:]
     if (far_m := float(np.linalg.norm(T_mount[:3, 3]))) > MOUNT_MAX_M:
         notes.append(f"{main} is {far_m:.4g} m from {body}; expected the place of a sensor on a drone, in metres")
+    for other, T in tree.contradictions(body, tree.resolve(main, body)) if main in placed else ():
+        notes.append(
+            f"tf_static has two ways from {body} to {main}, {np.linalg.norm(T[:3, 3]):.2g} m and "
+            f"{np.degrees(Rotation.from_matrix(T[:3, :3]).magnitude()):.1f}° apart; the shorter is used, not "
+            f"{' → '.join(other)}"
+        )
     more = [name for name in placed if name != main]
     notes += [f"scans are in frames {', '.join([main, *more])}; all are given in that of {main}"] if more else []
     notes += [f"scans in {', '.join(map(repr, others))} are left out: no transform to {main}"] if others else []

@@ -128,11 +128,16 @@ def _plain_numbers(data: bytes) -> bytes:
 def _unix_s(time: bytes) -> bytes:
     """Unix seconds of a time, without a decimal sign, since the table may have another; the same text if it is none."""
     try:
-        found = datetime.fromisoformat(time.decode().upper().replace(" UTC", "Z"))
+        return b"%de-6" % unix_us(time.decode().upper().replace(" UTC", "Z"))
     except ValueError:
         return time
+
+
+def unix_us(time: str) -> int:
+    """Unix microseconds of a time (ISO 8601), UTC unless it names a zone. Raises ValueError if it is none."""
+    found = datetime.fromisoformat(time)
     since = (found if found.tzinfo else found.replace(tzinfo=UTC)) - datetime(1970, 1, 1, tzinfo=UTC)
-    return b"%de-6" % (since // timedelta(microseconds=1))
+    return since // timedelta(microseconds=1)
 
 
 def _head(data: bytes) -> tuple[list[bytes], list[int]]:

@@ -1,7 +1,7 @@
 """The tree of frames of a recording, from tf_static and tf: relations of frames over time, and the drone's frames."""
 
 from collections import defaultdict
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -18,6 +18,9 @@ BODIES = ("base_link", "body", "base", "fcu", "base_footprint")
 """Usual names of the drone's frame, the preferred first (REP 105)."""
 STILL = 1e-6
 """A transform on tf that varies by less is static: ROS 1 repeats static ones there, some in single precision."""
+
+AGREED = 0.01
+"""Two ways between frames agree if their transforms differ by less, in metres and radians."""
 
 
 class Edge(NamedTuple):
@@ -81,6 +84,20 @@ class Tree:
     def is_static(self, frames: Sequence[str]) -> bool:
         """Whether all transforms along a way between frames are from tf_static."""
         return all(self.edges[key].path is None for key, _ in self._steps(frames))
+
+    def contradictions(self, target: str, source: str) -> Iterator[tuple[tuple[str, ...], Array]]:
+        """Other static ways from ``target`` to ``source``, without one transform of the shortest, that lead to another
+        place, and ``T_shortest_other (4, 4)``."""
+        fixed = self.fixed()
+        found = fixed.place(target, source, np.zeros(1))
+        for key, _ in self._steps(found.frames if found else ()):
+            rest = Tree()
+            rest.edges = {each: edge for each, edge in fixed.edges.items() if each != key}
+            other = rest.place(target, source, np.zeros(1))
+            if found is not None and other is not None:
+                T = (np.linalg.inv(found.T_target_source) @ other.T_target_source)[0]
+                if np.abs(T - np.eye(4)).max() > AGREED:
+                    yield other.frames, T
 
     def place(self, target: str, source: str, stamp_s: Array) -> Placement | None:
         """Where ``source`` is in ``target`` at some stamps ``(N,)``, or None if nothing relates them."""

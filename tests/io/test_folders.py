@@ -2,6 +2,7 @@
 
 import shutil
 from collections.abc import Callable
+from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,7 @@ from tests.io.samples import poses
 from tests.io.test_clouds import POINTS
 
 UNIX_S = 1_700_000_000
+DATES = "date and time, taken for UTC"
 
 
 @pytest.fixture
@@ -22,6 +24,10 @@ def folder(tmp_path: Path) -> Path:
         np.save(tmp_path / f"scan{k}.npy", POINTS + k)
     write_tum(tmp_path / "trajectory.tum", poses(10))
     return tmp_path
+
+
+def dated(ns: int, form: str) -> str:
+    return datetime.fromtimestamp(ns / 1e9, UTC).strftime(form)
 
 
 def renamed(folder: Path, name: Callable[[int], object]) -> None:
@@ -55,6 +61,9 @@ def test_a_folder_of_clouds_is_sorted_by_the_numbers_in_the_names(folder: Path) 
         (UNIX_S, lambda ns, k: f"cloud_{ns // 10**9}_{ns % 10**9:09d}", "s and ns"),
         (UNIX_S, lambda ns, k: f"{ns // 10**9}_{ns % 10**9}_{k:06d}", "s and ns"),
         (UNIX_S, lambda ns, k: f"{k:06d}-{ns // 10**9}-{ns % 10**9 // 1000:06d}", "s and µs"),
+        (UNIX_S + 39, lambda ns, k: dated(ns, "%Y-%m-%dT%H-%M-%S.%f"), DATES),
+        (UNIX_S + 39, lambda ns, k: f"tof_{dated(ns, '%Y%m%d_%H%M%S_%f')[:-3]}", DATES),
+        (UNIX_S + 39, lambda ns, k: f"{dated(ns, '%Y%m%d%H%M%S%f')[:-3]}_{k}", DATES),
     ],
 )
 @pytest.mark.parametrize("step_s", [0.2, 0.05], ids=["a pose a scan", "more poses"])
@@ -67,6 +76,12 @@ def test_stamps_are_read_from_the_names(
     np.testing.assert_allclose(flight.prior.stamp_s, begin_s + 0.2 * np.arange(10), atol=1e-6)
     np.testing.assert_array_equal(flight.scans[9].points, POINTS + 10)
     assert flight.facts["scans"] == f"10 files, stamped by their names ({units})"
+
+
+def test_dates_that_are_followed_by_a_count_or_are_all_one_are_no_stamps(folder: Path) -> None:
+    renamed(folder, lambda k: f"2023-11-14_22-13-20_{k:04d}")
+    write_tum(folder / "trajectory.tum", poses(10, begin_s=UNIX_S))
+    assert read_flight(folder).facts["scans"] == "10 files, in the order of their names"
 
 
 def test_decimals_without_the_zeros_before_them_are_nanoseconds(folder: Path) -> None:

@@ -161,6 +161,10 @@ def test_coordinates_in_degrees_are_refused_and_a_plumb_tube_is_none(tmp_path):
     np.save(tmp_path / "b.npy", site)
     with pytest.raises(InputError, match="longitude and latitude in degrees; expected metres"):
         read_cloud(tmp_path / "b.npy")
+    corridor = points * [500 / 74_300, 500 / 110_540, 3] + [11.5, 48.1, 500]
+    np.save(tmp_path / "c.npy", corridor)
+    with pytest.raises(InputError, match="longitude and latitude in degrees; expected metres"):
+        read_cloud(tmp_path / "c.npy")
     for width_m in (4e-3, 1e-16, 0):
         np.save(tmp_path / "a.npy", points * [width_m / 5, width_m / 5, 1] + [3, 4, 0])
         assert len(read_cloud(tmp_path / "a.npy")) == 200

@@ -97,6 +97,16 @@ def test_quaternions_that_begin_with_w_are_noted(bag):
     assert "upside down, unless quaternions are w, x, y, z" in flight.facts["notes"]
 
 
+@pytest.mark.parametrize("aside_m", [0.0, 0.3])
+def test_two_static_ways_to_the_sensor_that_disagree_are_noted(bag, aside_m):
+    other = MOUNT.copy()
+    other[0, 3] += aside_m
+    bag.clouds().moving("odom", "base_link").tf("base_link", "tof", MOUNT).tf("base_link", "rig", np.eye(4))
+    flight = read_flight(bag.tf("rig", "tof", other).odometry().write())
+    notes = "tf_static has two ways from base_link to tof, 0.3 m and 0.0° apart; the shorter is used, not base_link → rig"
+    assert (notes in flight.facts.get("notes", "")) == bool(aside_m)
+
+
 def test_two_programs_that_send_one_transform_are_noted(bag):
     bag.clouds().moving("odom", "base_link").tf("base_link", "tof", MOUNT)
     slow = Trajectory(np.arange(40) * 0.02, np.tile(np.eye(4), (40, 1, 1)))
