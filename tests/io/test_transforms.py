@@ -103,7 +103,9 @@ def test_two_static_ways_to_the_sensor_that_disagree_are_noted(bag, aside_m):
     other[0, 3] += aside_m
     bag.clouds().moving("odom", "base_link").tf("base_link", "tof", MOUNT).tf("base_link", "rig", np.eye(4))
     flight = read_flight(bag.tf("rig", "tof", other).odometry().write())
-    notes = "tf_static has two ways from base_link to tof, 0.3 m and 0.0° apart; the shorter is used, not base_link → rig"
+    notes = (
+        "tf_static has two ways from base_link to tof, 0.3 m and 0.0° apart; the shorter is used, not base_link → rig"
+    )
     assert (notes in flight.facts.get("notes", "")) == bool(aside_m)
 
 
