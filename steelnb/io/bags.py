@@ -3,7 +3,6 @@
 import itertools
 from collections import Counter
 from collections.abc import Callable, Iterator
-from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -14,6 +13,7 @@ from steelnb.core.errors import InputError
 from steelnb.core.files import damaged
 from steelnb.core.types import Array, Imu, IntArray, Trajectory
 from steelnb.io import messages as ros
+from steelnb.io.cameras import Camera, camera_at, cameras_of
 from steelnb.io.clocks import taken_together
 from steelnb.io.containers import Container, LostIndexError
 from steelnb.io.frames import Frames, drone_axes, sensor_frames, world_axes
@@ -21,15 +21,12 @@ from steelnb.io.headers import Headers
 from steelnb.io.inertial import readings_of
 from steelnb.io.opened import Opened, joined_parts
 from steelnb.io.scanning import Raw
-from steelnb.io.topics import PoseSource, camera_topic, imu_topics, pose_source, scan_topic
+from steelnb.io.topics import PoseSource, imu_topics, pose_source, scan_topic
 from steelnb.io.trajectories import check_units, read_trajectory, trajectory_of
 from steelnb.io.transforms import Tree, check_order, frame_name, is_body_name, is_world_name
 
 BURST_S = 0.1
 """Of the poses within this time, the first tells the unit."""
-
-Cameras = list[tuple[float, ros.CameraInfo]]
-"""The cameras of depth images, each with the stamp from which it holds."""
 
 
 class Clock(NamedTuple):
@@ -63,7 +60,7 @@ class _Bag:
         is_depth = self.bag.types[topic] == ros.IMAGE
         source = pose_source(self.bag, poses, topic)
         self.headers.read(topic, *source.topics, *source.tf, *imus, *(self.bag.of_type(ros.CAMERA) if is_depth else ()))
-        cameras, tree = self._cameras(topic) if is_depth else [], self.headers.tree()
+        cameras, tree = cameras_of(self.bag, self.headers, topic) if is_depth else [], self.headers.tree()
         stamp_s, log_s = self.headers.scan_stamps(topic)
         stamp_s += self.clock.offset_s
         for frame, text in self.headers.unstamped.items():
@@ -191,25 +188,6 @@ class _Bag:
         world = frame_name(self.bag.decode(longest).header.frame_id)
         return found, world, f"{topic} (the longest Path of it, {own} poses{more})"
 
-    def _cameras(self, topic: str) -> Cameras:
-        """The cameras of depth images, and notes on what is left out or contradicts."""
-        names = (topic, *self.headers.cameras)
-        frame_of = {name: next(iter(self.headers.objects(name)))[0] for name in names}
-        cameras = self.headers.cameras[camera_topic(self.bag, topic, frame_of)]
-        if "rect" in topic.rpartition("/")[2]:
-            cameras = [(begin_s, camera.rectified()) for begin_s, camera in cameras]
-        if len(cameras) > 1:
-            self.headers.notes["the CameraInfo changes in flight; each image has that of its time"] = None
-        _, camera = cameras[0]
-        if camera.distortion:
-            self.headers.notes[f"the lens's distortion ({camera.distortion}) is left out"] = None
-        elif not np.allclose(camera.K, camera.rectified().K, rtol=1e-3):
-            self.headers.notes["P of the CameraInfo differs from K, which is used: images may be rectified"] = None
-        if self.headers.shape is not None:
-            with suppress(InputError):  # it is the fault of each scan
-                self.headers.notes |= dict.fromkeys(filter(None, ros.camera_matrix(camera, *self.headers.shape)[1:]))
-        return cameras
-
     def _imu(self, topic: str, tree: Tree, body: str, poses: Trajectory) -> Imu | None:
         """Inertial samples in the axes of the drone, if a transform relates them; None if none is of use."""
         pair, *others = self.headers.objects(topic)
@@ -225,7 +203,7 @@ class _Bag:
         return found
 
     def _walk(
-        self, topic: str, cameras: Cameras, frames: Frames, groups: list[list[int]], number: IntArray
+        self, topic: str, cameras: list[Camera], frames: Frames, groups: list[list[int]], number: IntArray
     ) -> Iterator[Callable[[], Array]]:
         """Decoders of the scans with these increasing numbers; ``groups``: numbers of the messages of each."""
         selected = [groups[k] for k in number.tolist()]
@@ -236,9 +214,8 @@ class _Bag:
             message = self.bag.decode(raw)
             if not cameras:
                 return frames.convert(ros.cloud_points(message), k)
-            stamp_s, _ = self.headers.times(raw, message)
-            begun = [camera for begin_s, camera in cameras if begin_s <= stamp_s]
-            return frames.convert(ros.depth_points(message, begun[-1] if begun else cameras[0][1]), k)
+            camera = camera_at(cameras, frame_name(message.header.frame_id), self.headers.times(raw, message)[0])
+            return frames.convert(ros.depth_points(message, camera), k)
 
         for k, raw in enumerate(self.bag.messages(topic)):
             if k in wanted:

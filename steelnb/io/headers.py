@@ -40,9 +40,10 @@ class Headers:
 
     ``frames_of``: frame and child frame of the messages of each topic; ``scan_frames``: frame of each scan;
     ``repeated``: numbers of those with the stamp, frame and data of one before; ``shape``: rows and columns of the
-    first; ``cameras`` of topics, each with the stamp from which it holds; ``paths``: Path messages; ``notes`` on what
-    contradicted itself; ``faults``: of each topic the first message that cannot be decoded; ``skipped``: counts of what
-    is left out; ``unstamped``: frames on moving transforms without stamps, and a text on each.
+    first; ``cameras`` of topics, each with the stamp from which it holds and its frame; ``paths``: Path messages;
+    ``notes`` on what contradicted itself; ``faults``: of each topic the first message that cannot be decoded;
+    ``skipped``: counts of what is left out; ``unstamped``: frames on moving transforms without stamps, and a text on
+    each.
     """
 
     def __init__(self, bag: Container, by_log: bool) -> None:
@@ -55,7 +56,7 @@ class Headers:
         self._span: dict[tuple[str, tuple[str, str]], list[int]] = {}
         self._clock_of: dict[Any, Array] = {}
         self.shape: tuple[int, int] | None = None
-        self.cameras: dict[str, list[tuple[float, ros.CameraInfo]]] = defaultdict(list)
+        self.cameras: dict[str, list[tuple[float, str, ros.CameraInfo]]] = defaultdict(list)
         self.paths = PathMessages(bag.decode)
         self.notes: dict[str, None] = {}
         self.faults: dict[str, InputError] = {}
@@ -92,9 +93,10 @@ class Headers:
         self.frames_of[raw.topic][pair] += 1
         self._span.setdefault((raw.topic, pair), [raw.log_ns, raw.log_ns])[1] = raw.log_ns
         if raw.kind == ros.CAMERA:
-            camera, so_far = ros.camera_of(message), self.cameras[raw.topic]
-            if not so_far or not camera.equals(so_far[-1][1]):
-                so_far.append((self.times(raw, message)[0], camera))
+            camera = ros.camera_of(message)
+            latest = next((each for _, frame, each in reversed(self.cameras[raw.topic]) if frame == pair[0]), None)
+            if latest is None or not camera.equals(latest):
+                self.cameras[raw.topic].append((self.times(raw, message)[0], pair[0], camera))
             return
         table = self._table[raw.topic if is_scan else (raw.topic, pair)]
         table.extend(self.times(raw, message))

@@ -13,8 +13,8 @@ from steelnb.core.types import Array
 
 POINT_TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
 """Datatypes of PointField."""
-DEPTHS = {"16UC1": "u2", "mono16": "u2", "32FC1": "f4", "64FC1": "f8"}
-"""Encodings of depth images (REP 118; some drivers call 16UC1 mono16)."""
+DEPTHS = {"16UC1": "u2", "32FC1": "f4", "64FC1": "f8", "mono16": "u2", "Z16": "u2", "16SC1": "i2", "32SC1": "i4"}
+"""Encodings of depth images, the first three by REP 118; some drivers have other names and types of integers."""
 PLAUSIBLE_M = 1e-4, 1e7
 """Bounds of most coordinates, UTM included. Bytes in the wrong order give any power of ten."""
 CERTAIN, DOUBTS = 0.48, 8.0
@@ -53,7 +53,17 @@ def cloud_layout(message: Any) -> Layout:
             raise InputError(f"point_step {step}: expected {needed} bytes or more, as x, y and z end there")
         notes.append(f"point_step {step} is read as {size // (rows * columns)}")
         step = size // (rows * columns)
-    row_step, note = _row_step("row_step", int(message.row_step), rows, columns, step, size)
+    row_step = int(message.row_step)
+    if rows == 1 and columns * step > size == row_step and size % step == 0:
+        notes.append(f"width {columns} is read as {size // step}, as row_step and the data say")
+        columns = size // step
+    each = size // (rows * columns)
+    if each > step and each % step and size == rows * columns * each == rows * row_step:
+        beyond = np.frombuffer(message.data, "u1").reshape(rows, row_step)[:, columns * step :]
+        if beyond.any():  # rows that are padded for alignment end in zeros
+            notes.append(f"point_step {step} is read as {each}, as row_step and the data say")
+            step = each
+    row_step, note = _row_step("row_step", row_step, rows, columns, step, size)
     view = [(field, message.data, (rows, columns), (row_step, step)) for field in fields]
     order, swapped = _byte_order(bool(message.is_bigendian), [_sample(*each) for each in view])
     notes += [note, swapped]
@@ -64,9 +74,10 @@ def cloud_layout(message: Any) -> Layout:
 
 def depth_layout(image: Any) -> Layout:
     """Layout of a depth image. Raises `InputError`."""
-    if image.encoding not in DEPTHS:
+    encoding = depth_encoding(image.encoding)
+    if encoding not in DEPTHS:
         raise InputError(f"encoding {image.encoding!r}; expected a depth image, {', '.join(DEPTHS)}")
-    kind, rows, columns = np.dtype(DEPTHS[image.encoding]), int(image.height), int(image.width)
+    kind, rows, columns = np.dtype(DEPTHS[encoding]), int(image.height), int(image.width)
     if not rows * columns:
         raise InputError(f"{rows} × {columns} pixels")
     step, note = _row_step("step", int(image.step), rows, columns, kind.itemsize, len(image.data))
@@ -74,8 +85,15 @@ def depth_layout(image: Any) -> Layout:
         raise InputError(f"step {step} is {step // columns} bytes a pixel, and {image.encoding} has {kind.itemsize}")
     pixels = np.ndarray((rows, columns), kind, image.data, strides=(step, kind.itemsize))
     order, swapped = _byte_order(bool(image.is_bigendian), [pixels[:: rows // 8 + 1].ravel()])
-    renamed = "encoding mono16 is read as 16UC1, millimetres" if image.encoding == "mono16" else ""
+    is_odd = kind.kind != "f" and image.encoding != "16UC1"
+    renamed = f"encoding {image.encoding} is read as 16UC1, millimetres" if is_odd else ""
     return Layout((rows, columns), (step, kind.itemsize), order, tuple(filter(None, (note, swapped, renamed))))
+
+
+def depth_encoding(name: str) -> str:
+    """The encoding in `DEPTHS` that a name in any case, also with TYPE_ before it, stands for; else the name."""
+    plain = {each.upper(): each for each in DEPTHS}
+    return plain.get(name.upper().removeprefix("TYPE_"), name)
 
 
 def xyz_fields(message: Any) -> list[Any]:

@@ -6,7 +6,7 @@ import numpy as np
 
 from steelnb.core.errors import InputError
 from steelnb.core.types import Array
-from steelnb.io.layouts import DEPTHS, POINT_TYPES, cloud_layout, depth_layout, no_return, xyz_fields
+from steelnb.io.layouts import DEPTHS, POINT_TYPES, cloud_layout, depth_encoding, depth_layout, no_return, xyz_fields
 
 CLOUD, IMAGE, CAMERA = "sensor_msgs/msg/PointCloud2", "sensor_msgs/msg/Image", "sensor_msgs/msg/CameraInfo"
 COMPRESSED_IMAGE, IMU, PATH = "sensor_msgs/msg/CompressedImage", "sensor_msgs/msg/Imu", "nav_msgs/msg/Path"
@@ -74,7 +74,7 @@ def depth_points(image: Any, camera: CameraInfo) -> Array:
     Raises `InputError` for contradicting sizes.
     """
     shape, strides, order, _ = depth_layout(image)
-    raw = np.ndarray(shape, order + DEPTHS[image.encoding], image.data, strides=strides)
+    raw = np.ndarray(shape, order + DEPTHS[depth_encoding(image.encoding)], image.data, strides=strides)
     depth = raw * np.float64(1.0 if raw.dtype.kind == "f" else INTEGER_M)
     depth[~((depth > 0) & np.isfinite(depth)) | no_return(raw)] = np.nan
     farthest_m = np.fmax.reduce(depth, axis=None, initial=0)

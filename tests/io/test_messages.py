@@ -20,11 +20,12 @@ K = np.array([[60.0, 0, 40], [0, 60, 30], [0, 0, 1]])
 CAMERA = CameraInfo(K, 80, 60, (1, 1), (0, 0, 0, 0))
 
 
-def cloud(points=POINTS, kind="<f4", pad=0, **changed):
-    """A PointCloud2 of any type of numbers, with ``pad`` bytes after each row."""
+def cloud(points=POINTS, kind="<f4", pad=0, fill=0, **changed):
+    """A PointCloud2 of any type of numbers, with ``pad`` bytes after each row, and ``fill`` after each point."""
     message = MAKE.cloud(0, points)
-    rows = np.ascontiguousarray(points.reshape(message.height, -1), dtype=kind)
-    data = np.pad(rows.view(np.uint8), ((0, 0), (0, pad)))
+    each = np.ascontiguousarray(points.reshape(-1, 3), dtype=kind).view(np.uint8)
+    rows = np.pad(each, ((0, 0), (0, fill)), constant_values=66).reshape(message.height, -1)
+    data = np.pad(rows, ((0, 0), (0, pad)))
     codes = {"i1": 1, "u1": 2, "i2": 3, "u2": 4, "i4": 5, "u4": 6, "f4": 7, "f8": 8}
     size = np.dtype(kind).itemsize
     for k, field in enumerate(message.fields):
@@ -38,11 +39,11 @@ def cloud(points=POINTS, kind="<f4", pad=0, **changed):
 def depth(kind="<u2", encoding="16UC1", /, **changed):
     """A depth image of a wall around 2.5 m, and its depth in metres."""
     depth_m = 2.5 + 0.05 * np.random.default_rng(0).random((60, 80))
-    pixels = (depth_m * (1000 if "u" in kind else 1)).astype(kind)
+    pixels = (depth_m * (1 if "f" in kind else 1000)).astype(kind)
     message = Bagged.image(type("", (), {"make": MAKE}), pixels, encoding)
     for name, value in changed.items():
         setattr(message, name, value)
-    return message, pixels.astype(float) / (1000 if "u" in kind else 1)
+    return message, pixels.astype(float) / (1 if "f" in kind else 1000)
 
 
 @pytest.mark.parametrize(
@@ -55,6 +56,7 @@ def depth(kind="<u2", encoding="16UC1", /, **changed):
         ({"kind": ">f4", "is_bigendian": True}, ""),
         ({"kind": "<f8"}, ""),
         ({"pad": 4}, ""),
+        ({"fill": 4}, "point_step 12 is read as 16, as row_step and the data say"),
     ],
 )
 def test_a_cloud_with_one_sensible_reading_is_read_so_and_it_is_noted(changed, note):
@@ -97,6 +99,15 @@ def test_points_that_a_width_leaves_out_are_noted():
     message.width = 10
     assert cloud_points(message).shape == (10, 3)
     assert cloud_layout(message).notes == ("data are 120 bytes longer than their points: the rest is left out",)
+
+
+@pytest.mark.parametrize(
+    ("changed", "read"), [({"fill": 4}, "point_step 12 is read as 16"), ({"width": 30}, "width 30 is read as 20")]
+)
+def test_of_three_sizes_of_a_row_of_points_the_two_that_agree_are_right(changed, read):
+    message = cloud(POINTS.reshape(1, 20, 3), **changed)
+    np.testing.assert_array_equal(cloud_points(message), POINTS.reshape(-1, 3))
+    assert cloud_layout(message).notes == (f"{read}, as row_step and the data say",)
 
 
 def test_fields_may_have_upper_case_names():
