@@ -14,7 +14,7 @@ from steelnb.core.files import damaged
 from steelnb.core.types import Array, Imu, IntArray, Trajectory
 from steelnb.io import messages as ros
 from steelnb.io.cameras import Camera, camera_at, cameras_of
-from steelnb.io.clocks import taken_together
+from steelnb.io.clocks import OF_BAG, taken_together
 from steelnb.io.containers import Container, LostIndexError
 from steelnb.io.frames import Frames, drone_axes, sensor_frames, world_axes
 from steelnb.io.headers import Headers
@@ -71,6 +71,7 @@ class _Bag:
             sensor = tree.resolve(Counter(used).most_common(1)[0][0])
             prior, world, body, said = self._poses(source, topic, tree, sensor)
             frames = sensor_frames(tree, world, body, self.headers.scan_frames, stamp_s, is_depth, mount)
+            self._check_placed(topic, tree, body, sensor, frames, stamp_s)
         except InputError as fault:
             raise InputError(str(fault) if str(self.bag.path) in str(fault) else f"{self.bag.path}: {fault}") from None
         unplaced = np.isnan(frames.stamp_s) & ~np.isnan(stamp_s)
@@ -80,7 +81,7 @@ class _Bag:
         tried, readings = list[str](), None
         for name in imus:
             if readings is None and name in self.headers.frames_of:
-                tried, readings = [*tried, name], self._imu(name, tree, body, prior)
+                tried, readings = [*tried, name], self._imu(name, topic, tree, body, prior)
         if left := [name for name in self.bag.of_type(ros.IMU) if name not in tried and not imu]:
             self.headers.notes[f"inertial readings of {', '.join(left)} are left out (--imu TOPIC names an IMU)"] = None
         facts |= {"imu": tried[-1]} if readings is not None else {}
@@ -97,6 +98,17 @@ class _Bag:
         walk, first = partial(self._walk, topic, cameras, frames, groups), [group[0] for group in groups]
         return Opened(frames.stamp_s[first], walk, prior, frames.T_drone_sensor, facts, readings, self.headers.skipped)
 
+    def _check_placed(self, scans: str, tree: Tree, body: str, sensor: str, frames: Frames, stamp_s: Array) -> None:
+        """Raise `InputError` if no scan has a place on the drone, or if the clock of a transform to it differs."""
+        times = {"scans": stamp_s[~np.isnan(stamp_s)]}
+        for key in _transforms(tree, body, sensor):
+            if tree.edges[key].moves and (path := tree.edges[key].path) is not None:
+                times[name := f"transforms {key[0]} → {key[1]}"] = path.stamp_s
+                self._check_clocks(scans, key, name)
+        if np.isnan(frames.stamp_s).all() and len(times) > 1:
+            spans = ", ".join(f"{name} from {each.min():.3f} to {each.max():.3f} s" for name, each in times.items())
+            raise InputError(f"no scan has a place on the drone at its time: {spans}; expected one clock{OF_BAG}")
+
     def _poses(self, source: PoseSource, scans: str, tree: Tree, sensor: str) -> tuple[Trajectory, str, str, str]:
         """Poses of the drone, names of the world and of the drone's frame, and the source in words."""
         world, body, topic = "", "", source.topics[0] if source.topics else ""
@@ -110,8 +122,8 @@ class _Bag:
                     raise
                 topic = named[0]
             else:
-                for each in itertools.pairwise(tree.between(world, body) or ()):
-                    self._check_clocks(scans, each if each in tree.edges else each[::-1])
+                for key in _transforms(tree, world, body):
+                    self._check_clocks(scans, key)
                 return self._turned(found, world, body), world, body, f"tf {world} → {body}"
         if source.file:
             found, said = read_trajectory(source.file, self.headers.skipped), source.file
@@ -159,9 +171,9 @@ class _Bag:
         self.headers.note_jumps(rows, topic)
         return trajectory_of(self.bag.path, rows, self.headers.skipped)
 
-    def _check_clocks(self, scans: str, poses: Any) -> None:
+    def _check_clocks(self, scans: str, others: Any, what: str = "poses") -> None:
         if not self.clock.offset_s:
-            self.headers.check_clocks(scans, poses)
+            self.headers.check_clocks(scans, others, what)
 
     def _turned(self, poses: Trajectory, world: str, body: str) -> Trajectory:
         """Poses of the drone's axes, z up, from those of a frame in a frame of the world."""
@@ -188,7 +200,7 @@ class _Bag:
         world = frame_name(self.bag.decode(longest).header.frame_id)
         return found, world, f"{topic} (the longest Path of it, {own} poses{more})"
 
-    def _imu(self, topic: str, tree: Tree, body: str, poses: Trajectory) -> Imu | None:
+    def _imu(self, topic: str, scans: str, tree: Tree, body: str, poses: Trajectory) -> Imu | None:
         """Inertial samples in the axes of the drone, if a transform relates them; None if none is of use."""
         pair, *others = self.headers.objects(topic)
         rows, frame = self.headers.of_object(topic, pair, 6, "inertial sample"), pair[0]
@@ -200,6 +212,12 @@ class _Bag:
         if found is not None and place is None:
             note = f"no transform from {body} to {frame or 'the IMU'}: its axes are taken from its name"
             self.headers.notes[note] = None
+        try:
+            if found is not None:
+                self._check_clocks(scans, topic, "inertial readings")
+        except InputError as fault:
+            self.headers.notes[f"inertial readings of {topic} are left out: {fault}"] = None
+            return None
         return found
 
     def _walk(
@@ -225,3 +243,10 @@ class _Bag:
                 parts = []
             if k >= last:
                 return
+
+
+def _transforms(tree: Tree, target: str, source: str) -> list[tuple[str, str]]:
+    """Parent and child of each transform on the way between two frames."""
+    return [
+        each if each in tree.edges else each[::-1] for each in itertools.pairwise(tree.between(target, source) or ())
+    ]

@@ -16,22 +16,54 @@ absolute deviations, which allow for a simulated clock of another speed."""
 ONE_CLOCK = "expected one clock (--time-offset {} shifts scans{})"
 OF_BAG = ", --clock bag takes the times of recording"
 """What to do about clocks that differ, with the seconds of a shift, and with the second text where there is a bag."""
+STEADY_S, CLOCKS_APART_S, LATE_S, SPREAD_SHARE = 1.0, 10.0, 1.0, 0.1
+"""Two clocks are compared if the stamps of each keep their distance from the times of recording within the first, in
+the median. They differ if these distances differ by more than the second, which exceeds any latency. They may differ if
+it is more than the third, and much more than the distances vary."""
+RIGHT_SHARE = 0.1
+"""Minimum share of stamps with the clock of the others, if most have another one: they were sent before it was set."""
 PARTS_SHARE = 0.3
 """Parts of a scan are recorded within this share of the time to the next scan."""
 
 
-def far_stamps(stamp_s: Array, log_s: Array) -> NDArray[np.bool_]:
-    """Which stamps ``(N,)`` are far from the times of recording ``log_s (N,)``, compared with most of the others.
+def far_stamps(stamp_s: Array, log_s: Array, others: Sequence[Array] = ()) -> NDArray[np.bool_]:
+    """Which stamps ``(N,)`` are far from the times of recording ``log_s (N,)``, compared with most of them.
 
-    Stamps that go on from right ones without a jump are right: then the recording paused.
+    Stamps that go on from right ones without a jump are right: then the recording paused. ``others``: both times
+    ``(M, 2)`` of other messages, whose clock counts if most of these stamps have another one, but not all.
     """
     if not len(stamp_s):
         return np.zeros(0, bool)
     late_s = stamp_s - log_s
     off_s = np.abs(late_s - np.median(late_s))
     far: NDArray[np.bool_] = off_s > np.maximum(FAR_S, FAR_MADS * np.median(off_s))
+    for other_s, spread_s in map(_lateness, others):
+        is_near = np.abs(late_s - other_s) < FAR_S
+        is_another = abs(np.median(late_s) - other_s) > CLOCKS_APART_S and spread_s < STEADY_S
+        if is_another and is_near.mean() > RIGHT_SHARE:
+            far = ~is_near
     run = np.cumsum(np.abs(np.diff(stamp_s, prepend=stamp_s[0])) > FAR_S)
     return far & ~np.isin(run, run[~far])
+
+
+def _lateness(times_s: Array) -> tuple[float, float]:
+    """Median of stamp minus time of recording in ``times_s (N, 2)``, and the median distance from it."""
+    late_s = times_s[:, 0] - times_s[:, 1]
+    usual_s = float(np.median(late_s))
+    return usual_s, float(np.median(np.abs(late_s - usual_s)))
+
+
+def ahead_of(one: Array, other: Array) -> tuple[float, bool]:
+    """Seconds by which stamps are ahead of others, compared with the times of recording, and whether their clocks
+    differ for sure; 0 if nothing tells. ``one`` and ``other``: stamps and times of recording ``(N, 2)``."""
+    one, other = (times_s[np.isfinite(times_s[:, 0])] for times_s in (one, other))
+    if not len(one) or not len(other) or min(one[-1, 1], other[-1, 1]) <= max(one[0, 1], other[0, 1]):
+        return 0.0, False
+    (one_s, one_spread_s), (other_s, other_spread_s) = _lateness(one), _lateness(other)
+    ahead_s, spread_s = one_s - other_s, max(one_spread_s, other_spread_s)
+    is_sure = spread_s < STEADY_S and abs(ahead_s) > CLOCKS_APART_S
+    is_likely = spread_s < SPREAD_SHARE * abs(ahead_s) and abs(ahead_s) > LATE_S
+    return (ahead_s if is_sure or is_likely else 0.0), is_sure
 
 
 def rising_stamps(stamp_s: Array, strictly: bool = True) -> IntArray:

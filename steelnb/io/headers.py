@@ -10,7 +10,7 @@ import numpy as np
 from steelnb.core.errors import InputError
 from steelnb.core.types import Array
 from steelnb.io import messages as ros
-from steelnb.io.clocks import OF_BAG, ONE_CLOCK, far_stamps, rising_stamps
+from steelnb.io.clocks import OF_BAG, ONE_CLOCK, ahead_of, far_stamps, rising_stamps
 from steelnb.io.containers import Container
 from steelnb.io.layouts import cloud_layout, depth_layout
 from steelnb.io.path_messages import PathMessages
@@ -18,9 +18,6 @@ from steelnb.io.scanning import Raw
 from steelnb.io.trajectories import trajectory_of
 from steelnb.io.transforms import STILL, Tree, frame_name
 
-STEADY_S, CLOCKS_APART_S = 1.0, 10.0
-"""Two clocks are compared if the stamps of each keep their distance from the times of recording within the first, in
-the median. They differ if these distances differ by more than the second, which exceeds any latency."""
 STEP_SHARE_MIN = 0.05
 """Minimum interval of stamps, as a share of that of the times of recording; a simulation may be slow."""
 JUMP_M, JUMP_SHARE = 0.05, 0.5
@@ -171,11 +168,13 @@ class Headers:
         """Stamps of all scans, NaN where they are wrong, and times of recording."""
         rows = np.array(self._table[topic]).reshape(-1, 2)
         known = np.flatnonzero(~np.isnan(rows[:, 0]))
-        far = known[far_stamps(*rows[known].T)]
+        others = [self._times(key) for key in self._table if key != topic and not getattr(key, "is_static", False)]
+        far = known[far_stamps(rows[known, 0], rows[known, 1], others)]
         if len(far):
             first = "{:.3f} s, recorded at {:.3f} s".format(*rows[far[0]])
             self.skipped[f"scan whose stamp is far from the time of recording (the first: {first})"] = len(far)
         rows[far, 0] = np.nan
+        self._clock_of[topic] = rows
         right = rows[~np.isnan(rows[:, 0])]
         step_s, log_step_s = np.abs(np.median(np.diff(right, axis=0), axis=0)) if len(right) > 1 else (1.0, 1.0)
         if 0 < step_s < STEP_SHARE_MIN * log_step_s:
@@ -185,20 +184,24 @@ class Headers:
             self.notes[note] = None
         return rows[:, 0], rows[:, 1]
 
-    def check_clocks(self, scans: str, poses: Any) -> None:
-        """Raise `InputError` if the stamps of the scans are ahead of those of ``poses``, a topic or the names of a
-        transform, or behind them, compared with the times at which both were recorded: their clocks differ."""
-        rows = [np.array(self._table[scans]).reshape(-1, 2), self._clock_of.get(poses, np.zeros((0, 2)))]
-        rows = [each[np.isfinite(each[:, 0])] for each in rows]
-        if not all(map(len, rows)) or min(each[-1, 1] for each in rows) <= max(each[0, 1] for each in rows):
+    def _times(self, key: Any) -> Array:
+        """Stamps and times of recording ``(N, 2)`` of poses, inertial samples or a transform."""
+        is_imu = not isinstance(key, Link) and self._bag.types[key[0]] == ros.IMU
+        return np.array(self._table[key]).reshape(-1, 8 if is_imu else 9)[:, :2]
+
+    def check_clocks(self, scans: str, others: Any, what: str) -> None:
+        """Note or, if it is much, raise `InputError` if the stamps of the scans are ahead of those of ``others``, a
+        topic or the names of a transform, or behind them, compared with the times at which both were recorded."""
+        ahead_s, is_sure = ahead_of(self._clock_of[scans], self._clock_of.get(others, np.zeros((0, 2))))
+        if not ahead_s:
             return
-        late = [each[:, 0] - each[:, 1] for each in rows]
-        ahead_s = float(np.median(late[0]) - np.median(late[1]))
-        is_steady = all(np.median(np.abs(each - np.median(each))) < STEADY_S for each in late)
-        if is_steady and abs(ahead_s) > CLOCKS_APART_S:
-            how = f"{abs(ahead_s):.1f} s {'ahead of' if ahead_s > 0 else 'behind'}"
-            remedy = ONE_CLOCK.format(f"{-ahead_s:.1f}", OF_BAG)
-            raise InputError(f"{self._bag.path}: scans are {how} the poses by the times of recording; {remedy}")
+        how = f"{abs(ahead_s):.1f} s {'ahead of' if ahead_s > 0 else 'behind'} the {what} by the times of recording"
+        shift, is_pose = f"{-ahead_s:.1f}", what == "poses"
+        if is_sure:
+            remedy = ONE_CLOCK.format(shift, OF_BAG) if is_pose else f"expected one clock{OF_BAG}"
+            raise InputError(f"{self._bag.path}: scans are {how}; {remedy}")
+        remedy = f" (--time-offset {shift})" if is_pose else ""
+        self.notes[f"scans are {how}: their clocks may differ{remedy}"] = None
 
     def tree(self) -> Tree:
         """Transforms of tf_static and tf."""

@@ -28,6 +28,8 @@ RISING_MIN = 0.5
 """If fewer of the stamps rise, the clock is of no use."""
 WEIGHTS = np.array([1.0, np.e, np.pi])
 """The sum of the coordinates with these weights differs from place to place."""
+UNREADABLE = "unreadable scan"
+"""First words of the faults of scans that cannot be read."""
 FAR_M = 1e6
 """No sensor sees farther. A few such points are no returns; if most are so, the scan is not in metres."""
 SAMPLE, REPEATED_MIN, REPEATED_LEAST = 1000, 0.02, 9
@@ -165,12 +167,12 @@ def _scan(stamp_s: float, decode: Callable[[], Array]) -> Scan:
     try:
         points = decode()
     except InputError as fault:  # a damaged message or file only loses one scan
-        return Scan(stamp_s, np.zeros((0, 3)), f"unreadable scan: {fault}")
+        return Scan(stamp_s, np.zeros((0, 3)), f"{UNREADABLE}: {fault}")
     if max(np.fmax.reduce(points, axis=None, initial=0), -np.fmin.reduce(points, axis=None, initial=0)) > FAR_M:
         points = np.where((np.abs(points) >= np.finfo(np.float32).max).any(axis=-1, keepdims=True), np.nan, points)
         far = np.asarray((np.abs(points) > FAR_M).any(axis=-1))
         if far.sum() > np.isfinite(points).all(axis=-1).sum() / 2:
-            return Scan(stamp_s, np.zeros((0, 3)), f"unreadable scan: {far.sum()} points beyond {FAR_M:g} m")
+            return Scan(stamp_s, np.zeros((0, 3)), f"{UNREADABLE}: {far.sum()} points beyond {FAR_M:g} m")
         points = np.where(far[..., None], np.nan, points)
     sample = points.reshape(-1, 3)[:: points.size // (3 * SAMPLE) + 1]
     with np.errstate(invalid="ignore", over="ignore"):

@@ -21,6 +21,7 @@ from steelnb.fusion.reconstruct import reconstruct
 from steelnb.fusion.structure import Structure
 from steelnb.io import write_segments, write_structure, write_tum
 from steelnb.io.clouds import write_map
+from steelnb.io.recordings import UNREADABLE
 from steelnb.odometry.rest import rest_duration_s
 from steelnb.plots.flight import figure_bars, figure_flight
 from steelnb.plots.style import COLOURS, LABELS
@@ -129,6 +130,8 @@ def run_recording(
         write(folder, found, numbers, {"source": flight.name, "odometry": method})
         written = ", ".join(sorted(file.name for file in folder.iterdir()))
     notes = [*known.notes, *rest_notes(flight, settings.odometry)]
+    faults = [reason for reason in found.estimate.reason if reason.startswith(UNREADABLE)]
+    notes += [f"the first {faults[0]}"] if faults else []
     notes += [f"not smoothed: {found.estimate.unsmoothed}"] if found.estimate.unsmoothed else []
     notes += [f"no uncertainty: {found.estimate.unsure}"] if found.estimate.unsure else []
     labels = dict(zip(("prior", "corrected", "estimate"), paths, strict=False))

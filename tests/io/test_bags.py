@@ -137,6 +137,20 @@ def test_each_depth_image_has_the_camera_info_of_its_time(bag):
     assert "CameraInfo changes" in flight.facts["notes"]
 
 
+def test_each_depth_image_has_the_camera_info_of_its_frame(bag):
+    wide, narrow = (2.0, 0, 1.0, 0, 2.0, 0.5, 0, 0, 1), (4.0, 0, 1.0, 0, 4.0, 0.5, 0, 0, 1)
+    for stamp in STAMPS:
+        for frame, K in (("left_optical", wide), ("right_optical", narrow)):
+            bag.images("/depth/image", np.full((2, 3), 2.0, np.float32), "32FC1", frame, [stamp])
+            bag.camera(K=K, stamp_s=stamp, frame=frame)
+    bag.tf("base_link", "left_optical", np.eye(4)).tf("base_link", "right_optical", np.eye(4))
+    flight = read_flight(bag.odometry().write())
+    for scan in flight.scans:
+        left, right = scan.points.reshape(2, -1, 3)
+        assert (np.ptp(left[:, 1]), np.ptp(right[:, 1])) == (2.0, 1.0)
+    assert "CameraInfo changes" not in flight.facts["notes"]
+
+
 RECTIFIED = (4.0, 0, 1.0, 0, 0, 8.0, 0.5, 0, 0, 0, 1, 0)
 
 

@@ -45,6 +45,43 @@ def test_the_clock_that_most_stamps_have_counts(tmp_path):
     np.testing.assert_array_equal(flight.prior.stamp_s, TIMES[3:])
 
 
+@pytest.mark.parametrize("off_s", [37.0, -3600.0, 5.0 - EPOCH_S])
+def test_of_two_clocks_of_the_scans_that_of_the_poses_counts(tmp_path, off_s):
+    flight = read_flight(bag_of(tmp_path / "a.bag", np.where(np.arange(8) < 5, TIMES + off_s, TIMES)))
+    np.testing.assert_array_equal(flight.prior.stamp_s, TIMES[5:])
+    assert 5 in flight.skipped.values()
+
+
+@pytest.mark.parametrize("late_s", [0.7, 2.0])
+def test_scans_seconds_behind_the_poses_by_the_times_of_recording_are_noted(tmp_path, late_s):
+    begun = np.round(EPOCH_S - 5 + 0.2 * np.arange(40), 9)
+    bag = Bagged(tmp_path / "a.mcap").clouds(stamps=TIMES - late_s)
+    bag.odometry(trajectory=poses(40, begin_s=EPOCH_S - 5))
+    log_s = [*TIMES, *begun]
+    bag.rows = [(topic, kind, log, message) for (topic, kind, _, message), log in zip(bag.rows, log_s, strict=True)]
+    note = (
+        f"scans are {late_s} s behind the poses by the times of recording: their clocks may differ (--time-offset 2.0)"
+    )
+    assert (note in read_flight(bag.write()).facts.get("notes", "")) == (late_s == 2.0)
+
+
+@pytest.mark.parametrize("off_s", [0.0, -37.0, -2.0])
+def test_transforms_of_a_gimbal_on_another_clock_are_noted_or_refused(tmp_path, off_s):
+    bag, T = Bagged(tmp_path / "a.mcap").clouds(stamps=TIMES).odometry(trajectory=poses(8, begin_s=EPOCH_S)), poses(8)
+    log_s = [*TIMES, *TIMES, *TIMES]
+    bag.moving("base_link", "tof", SimpleNamespace(stamp_s=TIMES + off_s, T_world_drone=T.T_world_drone))
+    bag.rows = [(topic, kind, log, message) for (topic, kind, _, message), log in zip(bag.rows, log_s, strict=True)]
+    path = bag.write()
+    if off_s:
+        match = (
+            "scans are 37.0 s ahead of the transforms base_link → tof" if off_s < -10 else "no scan has a place on the"
+        )
+        with pytest.raises(InputError, match=match):
+            read_flight(path)
+    else:
+        assert len(read_flight(path)) == 8
+
+
 @pytest.mark.parametrize("stamps", [np.zeros(8), 12.5 + 0.1 * np.arange(8), TIMES[::-1]])
 def test_a_clock_of_no_use_is_refused_and_that_of_the_bag_can_be_taken(tmp_path, stamps):
     path = bag_of(tmp_path / "a.mcap", stamps)

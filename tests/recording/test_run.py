@@ -150,6 +150,7 @@ def test_scans_with_a_fault_and_no_structure_are_told(tmp_path):
     flight = Flight(scans, Trajectory(stamp_s, T), np.eye(4), facts={"mount": ""})
     found = run_recording(flight, tmp_path, *recording_settings())
     assert found.numbers["not used: unreadable scan"] == 4
+    assert "note      the first unreadable scan: cut short" in found.summary
     assert found.numbers["structure_bars"] == 0
     assert any(line.startswith("structure empty: ") for line in found.summary)
     assert any("no truth" in line for line in found.summary)
