@@ -14,7 +14,7 @@ from tests.io.samples import poses
 from tests.io.test_clouds import POINTS
 
 UNIX_S = 1_700_000_000
-DATES = "date and time, taken for UTC"
+DATES = "date and time, UTC"
 
 
 @pytest.fixture
@@ -64,6 +64,10 @@ def test_a_folder_of_clouds_is_sorted_by_the_numbers_in_the_names(folder: Path) 
         (UNIX_S + 39, lambda ns, k: dated(ns, "%Y-%m-%dT%H-%M-%S.%f"), DATES),
         (UNIX_S + 39, lambda ns, k: f"tof_{dated(ns, '%Y%m%d_%H%M%S_%f')[:-3]}", DATES),
         (UNIX_S + 39, lambda ns, k: f"{dated(ns, '%Y%m%d%H%M%S%f')[:-3]}_{k}", DATES),
+        (UNIX_S + 39, lambda ns, k: f"{dated(ns, '%Y%m%d_%H%M%S')}_{ns // 10**6 % 1000}", DATES),
+        (UNIX_S + 39, lambda ns, k: f"{dated(ns + 3_600 * 10**9, '%Y-%m-%dT%H:%M:%S.%f')}+01:00", DATES),
+        (UNIX_S, lambda ns, k: f"rs_{ns / 1e6:.4f}", "ms"),
+        (UNIX_S, lambda ns, k: f"{ns // 10**9}_{ns // 10**6 % 1000}", "s and ms"),
     ],
 )
 @pytest.mark.parametrize("step_s", [0.2, 0.05], ids=["a pose a scan", "more poses"])
@@ -78,10 +82,47 @@ def test_stamps_are_read_from_the_names(
     assert flight.facts["scans"] == f"10 files, stamped by their names ({units})"
 
 
-def test_dates_that_are_followed_by_a_count_or_are_all_one_are_no_stamps(folder: Path) -> None:
-    renamed(folder, lambda k: f"2023-11-14_22-13-20_{k:04d}")
+@pytest.mark.parametrize("count", ["{:04d}", "{:03d}", "{}", "{:06d}"])
+@pytest.mark.parametrize("step", [1, 5])
+def test_numbers_after_the_date_of_the_start_count(folder: Path, count: str, step: int) -> None:
+    renamed(folder, lambda k: f"20231114_221320_{count.format(step * k + (k > 5))}")
     write_tum(folder / "trajectory.tum", poses(10, begin_s=UNIX_S))
+    flight = read_flight(folder)
+    assert flight.facts["scans"] == "10 files, in the order of their names"
+    np.testing.assert_array_equal(flight.scans[9].points, POINTS + 10)
+
+
+@pytest.mark.parametrize(
+    ("name", "says"),
+    [
+        (
+            lambda k: dated(UNIX_S * 10**9 + k * 500_000_000, "%Y-%m-%d_%H-%M-%S.%f"),
+            "dates in their names, and none in",
+        ),
+        (lambda k: f"{k:04d}_{20 + 0.1 * k:.1f}C", "no stamps in their names"),
+    ],
+)
+def test_digits_of_dates_and_measures_are_no_stamps(folder: Path, name: Callable[[int], str], says: str) -> None:
+    renamed(folder, name)
+    write_tum(folder / "trajectory.tum", poses(300, step_s=0.1))
+    with pytest.raises(InputError, match=f"10 clouds, {says}"):
+        read_flight(folder)
+    write_tum(folder / "trajectory.tum", poses(10))
     assert read_flight(folder).facts["scans"] == "10 files, in the order of their names"
+
+
+def test_text_files_that_differ_in_numbers_are_clouds_and_bin_is_named(tmp_path: Path) -> None:
+    write_tum(tmp_path / "poses.tum", poses(10))
+    (tmp_path / "velodyne").mkdir()
+    (tmp_path / "velodyne" / "000000.bin").write_bytes(bytes(32))
+    with pytest.raises(InputError, match=r".bin files do not say what is in them; expected .npy"):
+        read_flight(tmp_path)
+    (tmp_path / "clouds").mkdir()
+    for k in range(10):
+        np.savetxt(tmp_path / "clouds" / f"{k}.txt", POINTS.reshape(-1, 3) + k)
+    with pytest.raises(InputError, match="--scans clouds"):
+        read_flight(tmp_path)
+    np.testing.assert_allclose(read_flight(tmp_path, scans="clouds").scans[9].points, POINTS.reshape(-1, 3) + 9)
 
 
 def test_decimals_without_the_zeros_before_them_are_nanoseconds(folder: Path) -> None:
