@@ -14,6 +14,7 @@ from steelnb.core.checks import SAME_S
 from steelnb.core.errors import InputError
 from steelnb.core.files import new_file, reading
 from steelnb.core.types import Array, Trajectory
+from steelnb.io.pose_rows import SPEED_MAX, are_far, are_valid
 from steelnb.io.table_form import read_table
 from steelnb.io.text import Table
 
@@ -21,12 +22,12 @@ GAP_MAX_S = 0.5, 2.0
 """Bounds of the longest gap that is interpolated. A drone may turn and stop in a longer one."""
 
 SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
-UNIX_S, STEP_MAX_S, SPEED_MAX = (9e8, 4.3e9), 2.0, 100.0
+UNIX_S, STEP_MAX_S = (9e8, 4.3e9), 2.0
 """Unix times of 1998 to 2106; a longer median interval of poses (nothing is interpolated across it) shows that other
-stamps are not seconds, and a higher median speed in m/s that positions or stamps have another unit."""
-ROTATION_TOLERANCE, QUATERNION_TOLERANCE, LENGTHS = 1e-2, 0.05, (0.5, 2.0)
+stamps are not seconds, as a median speed above `SPEED_MAX` shows that positions or stamps have another unit."""
+ROTATION_TOLERANCE, QUATERNION_TOLERANCE = 1e-2, 0.05
 """Maximum errors of rotation matrices and of the length of most quaternions, beyond which the numbers are something
-else; and bounds of the length of a single quaternion, which is normalised."""
+else."""
 OUT_OF_ORDER = "pose out of order, sorted by its stamp"
 STAMPS = ("(?:.*_)?header_stamp", "(?:time_?)?stamp", "time|t", "(?:.*_)?(?:time|stamp|timestamp)|")
 """Patterns of the names of stamps, the preferred first; "" stands for names that are units, such as sec and nsec."""
@@ -195,23 +196,25 @@ def write_tum(path: Path | str, trajectory: Trajectory) -> None:
 def trajectory_of(path: Path | str, rows: Array, skipped: Counter[str]) -> Trajectory:
     """Poses sorted by stamp from ``rows (N, 8)``: stamp, position and quaternion xyzw, which is normalised.
 
-    Rows with numbers that are not finite, positions beyond `COORDINATE_MAX_M`, quaternions far from unit length and
-    repeated stamps are dropped and counted in ``skipped``. Raises `InputError` if no pose remains, and if most
-    quaternions are not of unit length.
+    Rows that are no poses (`are_valid`), those with a repeated stamp and those far from the others (`are_far`) are
+    dropped and counted in ``skipped``. Raises `InputError` if no pose remains, and if most quaternions are not of unit
+    length.
     """
-    with np.errstate(over="ignore", invalid="ignore"):
-        length = np.linalg.norm(rows[:, 4:], axis=1)
-    is_unit = (length >= LENGTHS[0]) & (length <= LENGTHS[1])
-    is_place = np.abs(rows[:, 1:4]).max(axis=1, initial=0.0) <= COORDINATE_MAX_M
-    valid = np.flatnonzero(np.isfinite(rows).all(axis=1) & is_place & is_unit)
+    valid = np.flatnonzero(are_valid(rows))
     skipped[OUT_OF_ORDER] += int((np.diff(rows[valid, 0]) < 0).sum())
     _, first = np.unique(rows[valid, 0], return_index=True)
     chosen = valid[first]
     skipped["pose that is not finite, has no unit quaternion or a repeated stamp"] += len(rows) - len(chosen)
     if not len(chosen):
-        raise InputError(f"{path}: {len(rows)} poses, none valid; expected finite numbers and unit quaternions")
-    if (np.abs(length[chosen] - 1) > QUATERNION_TOLERANCE).mean() > 0.5:
-        typical = float(np.median(length[chosen]))
+        parts = [" ".join(f"{number:g}" for number in part) for part in np.split(rows[0, 1:], [3])] if len(rows) else ()
+        is_not = ", not x y z {}, qx qy qz qw {}".format(*parts) if parts else ""
+        raise InputError(f"{path}: {len(rows)} poses, none valid; expected finite numbers and unit quaternions{is_not}")
+    far = are_far(rows[chosen])
+    skipped["pose farther from those before and after than a drone flies"] += int(far.sum())
+    chosen = chosen[~far]
+    length = np.linalg.norm(rows[chosen, 4:], axis=1)
+    if (np.abs(length - 1) > QUATERNION_TOLERANCE).mean() > 0.5:
+        typical = float(np.median(length))
         raise InputError(f"{path}: quaternions of length {typical:.3g}; expected {', '.join(QUATERNION)} of length 1")
     largest = np.abs(rows[chosen, 4:]).max(axis=1, keepdims=True)  # results have the rounding of this division
     T = np.tile(np.eye(4), (len(chosen), 1, 1))

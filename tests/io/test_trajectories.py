@@ -1,5 +1,6 @@
 """Trajectories of many programs."""
 
+from collections import Counter
 from pathlib import Path
 
 import numpy as np
@@ -8,6 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from steelnb.core.errors import InputError
 from steelnb.io import read_trajectory, write_tum
+from steelnb.io.trajectories import trajectory_of
 from tests.io.samples import poses
 
 TURN = Rotation.from_euler("ZYX", [50, -20, 10], degrees=True)
@@ -149,6 +151,29 @@ def test_a_written_trajectory_is_read_by_us_and_by_evo(tmp_path: Path) -> None:
     np.testing.assert_array_equal(read.stamp_s, written.stamp_s)
     np.testing.assert_allclose(read.T_world_drone, written.T_world_drone, atol=1e-12)
     np.testing.assert_allclose(read_tum_trajectory_file(str(tmp_path / "a.tum")).poses_se3, written.T_world_drone)
+
+
+@pytest.mark.parametrize(
+    ("at", "shift_m", "dropped"),
+    [
+        (slice(0, 1), 3e6, 1),
+        (slice(1, 2), 60.0, 1),
+        (slice(17, 20), 300.0, 3),
+        (slice(28, 30), -3e6, 2),
+        (slice(15, 30), 60.0, 0),  # the map is corrected
+        (slice(0, 30), 5.8e6, 0),  # UTM
+        (slice(0, 30, 2), 60.0, 0),  # two programs
+    ],
+)
+def test_a_few_poses_where_no_drone_can_be_are_dropped(at, shift_m, dropped) -> None:
+    rows, skipped = np.zeros((30, 8)), Counter[str]()
+    rows[:, 0], rows[:, 1], rows[:, 7] = 0.1 * np.arange(30), 0.3 * np.arange(30), 1
+    rows[at, 2] += shift_m
+    kept = trajectory_of("a", rows, skipped)
+    assert len(kept) == 30 - dropped
+    assert skipped["pose farther from those before and after than a drone flies"] == dropped
+    if dropped:
+        assert np.abs(kept.position[:, 1]).max() == 0
 
 
 def test_invalid_poses_are_dropped(tmp_path: Path) -> None:

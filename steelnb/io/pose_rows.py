@@ -1,0 +1,53 @@
+"""Which rows of stamp, position and quaternion xyzw are poses of a drone."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from steelnb.core.arrays import COORDINATE_MAX_M
+from steelnb.core.types import Array
+
+LENGTHS = 0.5, 2.0
+"""Bounds of the length of a quaternion, which is normalised."""
+SPEED_MAX, FAR_M = 100.0, 20.0
+"""No drone is faster, in m/s; and a way that no stamp needs to explain, since some are coarse or come in bursts."""
+FAR_RUN, FAR_SHARE = 3, 0.1
+"""So many poses in a row, and this share of all, or one, may be far off: more are another map, or in another unit."""
+
+
+def are_valid(rows: Array) -> NDArray[np.bool_]:
+    """Which ``rows (N, 8)`` are finite and no farther than `COORDINATE_MAX_M`, with nearly unit quaternions."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        length = np.linalg.norm(rows[:, 4:], axis=1)
+    is_unit = (length >= LENGTHS[0]) & (length <= LENGTHS[1])
+    found: NDArray[np.bool_] = np.isfinite(rows).all(axis=1) & is_unit
+    return found & (np.abs(rows[:, 1:4]).max(axis=1, initial=0.0) <= COORDINATE_MAX_M)
+
+
+def are_far(rows: Array) -> NDArray[np.bool_]:
+    """Which ``rows (N, 4 or more)``, rising by stamp, are farther from those before and after than a drone flies.
+
+    They are few in a row. Poses that go on from a new place are right: a map was corrected.
+    """
+    begin = np.flatnonzero([True, *_are_apart(rows[:-1], rows[1:])])
+    size, far = np.diff([*begin, len(rows)]), np.zeros(len(rows), bool)
+    goes_on = np.flatnonzero(size > FAR_RUN)
+    if len(goes_on) in (0, len(size)):
+        return far
+    # From the first long run to the end, then back to the beginning.
+    for runs, is_back in ((range(goes_on[0], len(size)), False), (range(goes_on[0], -1, -1), True)):
+        last = 0
+        for k in runs:
+            first, end = begin[k], begin[k] + size[k] - 1
+            near, next_last = (end, first) if is_back else (first, end)
+            if size[k] > FAR_RUN or not _are_apart(rows[[last]], rows[[near]])[0]:
+                last = next_last
+            else:
+                far[first : end + 1] = True
+    return far if far.sum() <= max(1, FAR_SHARE * len(rows)) else np.zeros(len(rows), bool)
+
+
+def _are_apart(rows: Array, others: Array) -> NDArray[np.bool_]:
+    """Whether a drone cannot get from each row to the other in time."""
+    way_m, time_s = np.linalg.norm(others[:, 1:4] - rows[:, 1:4], axis=1), np.abs(others[:, 0] - rows[:, 0])
+    apart: NDArray[np.bool_] = way_m > FAR_M + SPEED_MAX * time_s
+    return apart
