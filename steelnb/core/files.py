@@ -44,8 +44,14 @@ def damaged(path: Path | str, form: str) -> Iterator[None]:
 
 
 def display_name(path: Path | str) -> str:
-    """The name of a file for texts and pictures: bytes that are no UTF-8, and control signs, become �."""
-    name = os.path.basename(path)
+    """The name of a file for texts and pictures."""
+    return printable(os.path.basename(path))
+
+
+def printable(name: str) -> str:
+    """A name for texts and pictures: bytes that are no UTF-8, and control signs, become �."""
+    if name.isprintable():
+        return name
     return "".join("\N{REPLACEMENT CHARACTER}" if unicodedata.category(c) in ("Cc", "Cs") else c for c in name)
 
 

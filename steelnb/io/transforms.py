@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from steelnb.core.errors import InputError
+from steelnb.core.files import printable
 from steelnb.core.types import Array, Trajectory
 from steelnb.io.trajectories import interpolate
 
@@ -200,7 +201,7 @@ def _ways(start: str, steps: Iterable[tuple[str, str]]) -> dict[str, list[str]]:
 
 def frame_name(name: str) -> str:
     """Name of a frame; ROS 1 allowed a slash before it."""
-    return name.lstrip("/")
+    return printable(name.lstrip("/"))
 
 
 def _last(frame: str) -> str:
