@@ -134,7 +134,7 @@ class Container:
         if name in candidates or (name is None and len(candidates) == 1):
             return name or candidates[0]
         kinds = {topic: kind.rpartition("/")[2] for topic, kind in sorted(self.types.items())}
-        found = f"no topic {name!r}" if name else f"no {role}" if not candidates else f"several topics of {role}"
+        found = f"{'several topics of' if candidates else 'no'} {role}" if name is None else f"no topic {name!r}"
         found = f"{name} is {kinds[name]}" if name in kinds else found
         topics = ", ".join(f"{topic} ({kinds[topic]})" for topic in sorted(candidates or kinds))
         expected = f"one topic of {role}, or its name, among" if candidates else "one in the recording, which has"

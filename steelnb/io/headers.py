@@ -14,6 +14,7 @@ from steelnb.io.clocks import OF_BAG, ONE_CLOCK, ahead_of, far_stamps, rising_st
 from steelnb.io.containers import Container
 from steelnb.io.layouts import cloud_layout, depth_layout
 from steelnb.io.path_messages import PathMessages
+from steelnb.io.pose_rows import are_valid
 from steelnb.io.scanning import Raw
 from steelnb.io.trajectories import trajectory_of
 from steelnb.io.transforms import STILL, Tree, frame_name
@@ -22,6 +23,9 @@ STEP_SHARE_MIN = 0.05
 """Minimum interval of stamps, as a share of that of the times of recording; a simulation may be slow."""
 JUMP_M, JUMP_SHARE = 0.05, 0.5
 """Poses jump to and fro if most are farther than this from the next, and much nearer to the one after it."""
+SWAPPED_SHARE, SWAPPED_BY = 0.05, 2
+"""Messages are sorted if more than this share of stamps go back, as of two threads, and none by more places; a clock
+that is set back does so once."""
 
 
 class Link(NamedTuple):
@@ -54,8 +58,8 @@ class Headers:
         self._clock_of: dict[Any, Array] = {}
         self.shape: tuple[int, int] | None = None
         self.cameras: dict[str, list[tuple[float, str, ros.CameraInfo]]] = defaultdict(list)
-        self.paths = PathMessages(bag.decode)
         self.notes: dict[str, None] = {}
+        self.paths = PathMessages(bag.decode, self.notes)
         self.faults: dict[str, InputError] = {}
         self.skipped = Counter[str]()
         self.unstamped: dict[str, str] = {}
@@ -142,11 +146,15 @@ class Headers:
 
     def of_object(self, topic: str, pair: tuple[str, str], values: int, what: str) -> Array:
         """Rows of stamp and values of the messages of a topic that are about one of its `objects`."""
-        same = self.objects(topic)[pair]
-        rows = np.concatenate([np.array(self._table[topic, each]).reshape(-1, values + 2) for each in same])
-        rows = rows[np.argsort(rows[:, 1], kind="stable")] if len(same) > 1 else rows
+        rows = self.rows_of(topic, pair, values)
         self._clock_of[topic] = rows[:, :2]
         return self._right(rows, what)
+
+    def rows_of(self, topic: str, pair: tuple[str, str], values: int) -> Array:
+        """Rows of stamp, time of recording and values of all messages about one of the `objects` of a topic."""
+        same = self.objects(topic)[pair]
+        rows = np.concatenate([np.array(self._table[topic, each]).reshape(-1, values + 2) for each in same])
+        return rows[np.argsort(rows[:, 1], kind="stable")] if len(same) > 1 else rows
 
     def note_jumps(self, rows: Array, what: str) -> None:
         """Note if poses, ``rows (N, 8)``, jump to and fro from row to row."""
@@ -159,10 +167,15 @@ class Headers:
     def _right(self, rows: Array, what: str) -> Array:
         """Rows of stamp and values, of rows of stamp, time of recording and values, where stamps are right."""
         far = far_stamps(rows[:, 0], rows[:, 1])
-        rising = rising_stamps(rows[~far, 0], strictly=False)
         self.skipped[f"{what} whose stamp is far from the time of recording"] += int(far.sum())
-        self.skipped[f"{what} whose stamp does not rise"] += int((~far).sum()) - len(rising)
-        return np.delete(rows[~far][rising], 1, axis=1)
+        rows = rows[~far]
+        order, back = np.argsort(rows[:, 0], kind="stable"), int((np.diff(rows[:, 0]) < 0).sum())
+        if back > SWAPPED_SHARE * len(rows) and np.abs(order - np.arange(len(order))).max() <= SWAPPED_BY:
+            self.skipped[f"{what} out of order, sorted by its stamp"] += back
+            rows = rows[order]
+        rising = rising_stamps(rows[:, 0], strictly=False)
+        self.skipped[f"{what} whose stamp does not rise"] += len(rows) - len(rising)
+        return np.delete(rows[rising], 1, axis=1)
 
     def scan_stamps(self, topic: str) -> tuple[Array, Array]:
         """Stamps of all scans, NaN where they are wrong, and times of recording."""
@@ -216,18 +229,19 @@ class Headers:
             if not is_static and len(rows) > 1 and not np.ptp(rows[:, 0]) and np.ptp(rows[:, 1:], axis=0).max() > STILL:
                 self.unstamped[child] = f"transforms {parent} → {child} move, but all have the stamp {rows[0, 0]:g} s"
                 continue
-            if is_static:  # its stamp does not matter, and the last one holds
+            if is_static:  # its stamp does not matter, and the last one that is valid holds
                 rows = np.array(self._table[key]).reshape(-1, 9)[:, [0, *range(2, 9)]]
+                rows = rows[are_valid(rows)] if are_valid(rows).any() else rows
                 if np.ptp(rows[:, 1:], axis=0).max() > STILL:
-                    self.notes[
-                        f"the fixed transform {parent} → {child} changes; the last one is used for all scans"
-                    ] = None
+                    note = f"the fixed transform {parent} → {child} changes; the last one is used for all scans"
+                    self.notes[note] = None
             if is_static or not np.ptp(rows[:, 0]):  # repeated
                 rows = rows[-1:]
             try:
-                tree.add(parent, child, trajectory_of(self._bag.path, rows, self.skipped), is_static)
-            except InputError:
-                self.notes[f"no transform {parent} → {child} is valid"] = None
+                found = trajectory_of(f"transform {parent} → {child} is left out", rows, self.skipped)
+                tree.add(parent, child, found, is_static)
+            except InputError as fault:
+                self.notes[str(fault)] = None
         return tree
 
 

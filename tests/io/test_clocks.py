@@ -39,6 +39,23 @@ def test_one_wrong_stamp_costs_one_message(tmp_path, at, wrong_s, what):
     assert any(reason.startswith(f"{what} whose stamp is far from the time of recording") for reason in flight.skipped)
 
 
+@pytest.mark.parametrize("places", [[1, 0, 3, 2, 5, 4, 7, 6], [0, 1, 2, 5, 6, 3, 4, 7]])
+def test_poses_of_two_threads_are_sorted(tmp_path, places):
+    flight = read_flight(bag_of(tmp_path / "a.mcap", TIMES, TIMES[places]))
+    np.testing.assert_array_equal(flight.prior.stamp_s, TIMES)
+    assert flight.skipped == {"pose out of order, sorted by its stamp": int((np.diff(places) < 0).sum())}
+
+
+def test_poses_of_a_clock_that_is_set_back_once_are_not_mixed(tmp_path):
+    stamps = np.round(0.1 * np.concatenate([np.arange(20), np.arange(17.5, 40)]), 9)
+    path, T = Bagged(tmp_path / "a.mcap").clouds(stamps=stamps[:18]), poses(len(stamps)).T_world_drone
+    path.odometry(trajectory=SimpleNamespace(stamp_s=stamps, T_world_drone=T))
+    for k in range(len(stamps)):
+        topic, kind, _, message = path.rows[k - len(stamps)]
+        path.rows[k - len(stamps)] = topic, kind, 0.1 * k, message
+    assert read_flight(path.write()).skipped == {"pose whose stamp does not rise": 2}
+
+
 def test_the_clock_that_most_stamps_have_counts(tmp_path):
     jump = np.where(np.arange(8) < 3, TIMES - EPOCH_S + 30, TIMES)
     flight = read_flight(bag_of(tmp_path / "a.bag", jump, jump))
