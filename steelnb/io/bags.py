@@ -21,7 +21,7 @@ from steelnb.io.headers import Headers
 from steelnb.io.inertial import readings_of
 from steelnb.io.opened import Opened, joined_parts
 from steelnb.io.scanning import Raw
-from steelnb.io.topics import PoseSource, imu_topics, pose_source, scan_topic
+from steelnb.io.topics import PoseSource, imu_topics, pose_source, scan_topic, settled
 from steelnb.io.trajectories import check_units, read_trajectory, trajectory_of
 from steelnb.io.transforms import Tree, check_order, frame_name, is_body_name, is_world_name
 
@@ -56,9 +56,9 @@ class _Bag:
         self.bag, self.clock, self.headers = container, clock, Headers(container, clock.by_log)
 
     def open(self, scans: str | None, poses: str | None, imu: str | None, mount: Array | None) -> Opened:
-        topic, imus = scan_topic(self.bag, scans), imu_topics(self.bag, imu)
-        is_depth = self.bag.types[topic] == ros.IMAGE
-        source = pose_source(self.bag, poses, topic)
+        topic = scan_topic(self.bag, scans)
+        is_depth, source = self.bag.types[topic] == ros.IMAGE, pose_source(self.bag, poses, topic)
+        imus = imu_topics(self.bag, imu, topic, *source.topics)
         self.headers.read(topic, *source.topics, *source.tf, *imus, *(self.bag.of_type(ros.CAMERA) if is_depth else ()))
         cameras, tree = cameras_of(self.bag, self.headers, topic) if is_depth else [], self.headers.tree()
         stamp_s, log_s = self.headers.scan_stamps(topic)
@@ -69,6 +69,7 @@ class _Bag:
         used = [name for name, stamp in zip(self.headers.scan_frames, stamp_s.tolist(), strict=True) if stamp == stamp]
         try:
             sensor = tree.resolve(Counter(used).most_common(1)[0][0])
+            source = settled(source, self.headers, tree, sensor)
             prior, world, body, said = self._poses(source, topic, tree, sensor)
             frames = sensor_frames(tree, world, body, self.headers.scan_frames, stamp_s, is_depth, mount)
             self._check_placed(topic, tree, body, sensor, frames, stamp_s)
@@ -90,8 +91,7 @@ class _Bag:
         self.headers.skipped["scan message that repeats another one"] += len(stamp_s) - count
         if len(groups) < count:
             self.headers.notes[f"{count} messages are {len(groups)} scans: those of one stamp are one"] = None
-        for topic_left in source.left_out:
-            self.headers.notes[f"poses of {topic_left} are left out: {self.bag.count(topic_left)} of them"] = None
+        self.headers.notes |= dict.fromkeys(source.notes)
         lost = ["what is whole is read"] if self.bag.notes else []
         notes = [*self.bag.notes, *lost, *self.bag.left_out, *self.headers.notes, *frames.notes]
         facts |= {"notes": "; ".join(notes)} if notes else {}
@@ -169,7 +169,7 @@ class _Bag:
     def _object(self, topic: str, pair: tuple[str, str]) -> Trajectory:
         rows = self.headers.of_object(topic, pair, 7, "pose")
         self.headers.note_jumps(rows, topic)
-        return trajectory_of(self.bag.path, rows, self.headers.skipped)
+        return trajectory_of(f"{self.bag.path}: {topic}", rows, self.headers.skipped)
 
     def _check_clocks(self, scans: str, others: Any, what: str = "poses") -> None:
         if not self.clock.offset_s:
@@ -195,7 +195,7 @@ class _Bag:
                 f"{topic}: the poses of a Path have only their own stamps; expected another topic of poses"
             )
         rows, own = self.headers.paths.poses(longest)
-        found = trajectory_of(self.bag.path, rows, self.headers.skipped)
+        found = trajectory_of(f"{self.bag.path}: {topic}", rows, self.headers.skipped)
         more = f" and {len(rows) - own} of others" if len(rows) > own else ""
         world = frame_name(self.bag.decode(longest).header.frame_id)
         return found, world, f"{topic} (the longest Path of it, {own} poses{more})"

@@ -22,6 +22,9 @@ SAMPLES_MIN = 100
 """Fewer samples, as of a second, tell nothing of what is usual."""
 UPRIGHT, POSES_MIN = 0.5, 10
 """Minimum cosine between the mean specific force and the vertical, and number of poses that tell."""
+TURN_S, TURN_MIN, UNLIKE = 0.5, 0.05, 0.2
+"""Rotations in the time from one to two of the first, seconds, tell the unit of rates if they exceed the second, rad;
+and the share of them by which those of a gyroscope may differ."""
 
 
 def readings_of(
@@ -67,7 +70,32 @@ def readings_of(
             fault = f"accelerations of {mean_size:.2g} m/s² in the mean; expected those of gravity"
         elif mean_size > GRAVITIES[0] * GRAVITY and mean[2] < UPRIGHT * mean_size:
             fault = f"at rest {np.round(mean, 1).tolist()} m/s² in the world; expected z up (tf_static)"
+        elif degrees := _rate_in_degrees(stamp_s[inside], rate[inside], poses):
+            fault = f"a median rate of {degrees:.3g} in turns of {np.radians(degrees):.2g} rad/s; expected rad/s"
     if fault:
         notes[f"inertial readings of {topic} are left out: {fault}"] = None
         return None
     return Imu(stamp_s, force, rate)
+
+
+def _rate_in_degrees(stamp_s: Array, rate: Array, poses: Trajectory) -> float:
+    """The median of a rate ``(N, 3)`` in turns of the ``poses`` if it is theirs in degrees a second; 0 if it is not, or
+    if the drone turns too little."""
+    end = np.searchsorted(poses.stamp_s, poses.stamp_s + TURN_S)
+    begin = np.flatnonzero((poses.stamp_s >= stamp_s[0]) & (end < (poses.stamp_s <= stamp_s[-1]).sum()))
+    end = end[begin]
+    time_s = poses.stamp_s[end] - poses.stamp_s[begin]
+    R = Rotation.from_matrix(poses.T_world_drone[:, :3, :3])
+    turn = (R[begin].inv() * R[end]).magnitude()
+    means = (rate[1:] + rate[:-1]) / 2 * np.diff(stamp_s)[:, None]
+    integral = np.concatenate([np.zeros((1, 3)), np.cumsum(means, axis=0)])
+    integral = np.stack([np.interp(poses.stamp_s, stamp_s, axis) for axis in integral.T], axis=1)
+    angle = np.linalg.norm(integral[end] - integral[begin], axis=1)
+    tells = (turn > TURN_MIN) & (time_s < 2 * TURN_S)
+    if tells.sum() < POSES_MIN:
+        return 0.0
+    turn, angle, time_s = turn[tells], angle[tells], time_s[tells]
+    shown = np.abs((angle + np.pi) % (2 * np.pi) - np.pi)  # if it is in radians: two poses do not show whole turns
+    is_other = np.median(np.abs(shown - turn) / turn) > 1
+    is_so = is_other and np.median(np.abs(np.radians(angle) - turn) / turn) < UNLIKE
+    return float(np.median(angle / time_s)) if is_so else 0.0

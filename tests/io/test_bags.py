@@ -54,6 +54,8 @@ def test_several_candidate_topics_are_listed_and_one_can_be_chosen(bag):
         ({}, r"several topics of clouds.*/other \(PointCloud2\), /points"),
         ({"scans": "/other"}, r"several topics of poses.*/gps \(Odometry\), /odom"),
         ({"scans": "/nothing"}, "no topic '/nothing'"),
+        ({"scans": ""}, "no topic ''; expected one topic of clouds"),
+        ({"scans": "/other", "poses": ""}, "no topic ''; expected one topic of poses"),
         ({"scans": "/odom"}, "/odom is Odometry; expected one topic of clouds .* among /other .* /points"),
         (
             {"poses": "/points", "scans": "/other"},
@@ -279,6 +281,13 @@ def turned(bag, child):
     return bag.clouds().odometry().tf("gimbal", "tof", MOUNT)
 
 
+def unstamped(bag):
+    """A drone on tf, without stamps."""
+    for k in range(5):
+        bag.tf("odom", "base_link", T_of((k, 0, 0)), 0.0, "/tf")
+    return bag.clouds()
+
+
 def damaged(bag, kind):
     bag.rows.append(("/scans", f"sensor_msgs/msg/{kind}", 0.3, b"\0\1\0\0abc"))
     return bag.odometry()
@@ -301,6 +310,8 @@ def damaged(bag, kind):
         ),
         (lambda bag: turned(bag, "tof"), "base_link → tof move, but all have the stamp 0 s; .*--clock bag"),
         (lambda bag: turned(bag, "gimbal"), "base_link → gimbal move, but all have the stamp 0 s; .*--clock bag"),
+        (unstamped, "odom → base_link move, but all have the stamp 0 s; .*--clock bag"),
+        (lambda bag: bag.clouds().path_of(poses(0), 0.0), "/path: 0 poses, none valid"),
         (lambda bag: damaged(bag, "PointCloud2"), "not a bag of readable PointCloud2 messages"),
         (lambda bag: damaged(bag, "Image"), "not a bag of readable Image messages"),
         (images, "no CameraInfo of /cam/depth/image"),

@@ -93,6 +93,28 @@ def test_the_rates_of_a_fast_turn_stay_as_they_are(tmp_path, turns_a_second):
     assert "notes" not in flight.facts
 
 
+@pytest.mark.parametrize("unit", [1.0, 180 / np.pi])
+def test_rates_in_degrees_are_told_by_the_turns_of_the_poses(tmp_path, unit):
+    stamp_s, time_s = np.round(0.1 * np.arange(40), 9), np.arange(400) / 100
+    T = np.tile(np.eye(4), (40, 1, 1))
+    T[:, :3, :3] = Rotation.from_rotvec(np.outer(1 - np.cos(stamp_s), [0, 0, 0.3])).as_matrix()
+    rate = np.outer(np.sin(time_s), [0, 0, 0.3 * unit]) + np.random.default_rng(1).normal(0, 0.02 * unit, (400, 3))
+    bag = Bagged(tmp_path / "a.mcap").clouds(stamps=stamp_s).odometry(trajectory=Trajectory(stamp_s, T))
+    flight = read_flight(bag.imu(time_s, UP, rate).write())
+    assert (flight.imu is None) == (unit != 1)
+    assert ("/imu are left out: a median rate of 1" in flight.facts.get("notes", "")) == (unit != 1)
+
+
+def test_the_imu_of_another_drone_is_left_out_if_this_one_has_one(tmp_path):
+    bag = Bagged(tmp_path / "a.mcap").clouds("/uav2/points").odometry("/uav2/odom")
+    for topic in ("/uav1/imu", "/uav2/imu"):
+        bag.imu([0.0], UP, topic=topic)
+    flight = read_flight(bag.write())
+    assert flight.facts["imu"] == "/uav2/imu"
+    assert "inertial readings of /uav1/imu are left out (--imu" in flight.facts["notes"]
+    assert read_flight(bag.path, imu="/uav1/imu").facts["imu"] == "/uav1/imu"
+
+
 def test_an_imu_that_does_not_measure_all_gives_way_to_another(bag):
     for topic, force in (("/a", 1.0), ("/b", 2.0), ("/c", 3.0)):
         bag.imu([0.0], [force] * 3, topic=topic)

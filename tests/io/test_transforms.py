@@ -331,6 +331,67 @@ def test_a_goal_is_no_trajectory(bag, beside):
     assert "poses of /goal_pose are left out: 1 of them" in flight.facts["notes"]
 
 
+@pytest.mark.parametrize(
+    ("topic", "frame", "scale", "why"),
+    [
+        ("/mavros/setpoint_position/local", "map", 1.0, "left out: of a goal by its name"),
+        ("/aruco/pose", "tof", 1.0, "left out: they are in tof, which moves with base_link"),
+        ("/wheel/pose", "odom", 0.0, "left out: they stay, and base_link moves by 4 m on tf"),
+        ("/wheel/pose", "odom", 0.1, "reach 0.4 m, those of tf 4 m (--poses 'odom>base_link' takes these)"),
+        ("/pose", "odom", 1.0, ""),
+    ],
+)
+def test_poses_that_are_not_the_drones_give_way_to_tf(bag, topic, frame, scale, why):
+    other, path = np.tile(MOUNT, (5, 1, 1)), np.tile(np.eye(4), (5, 1, 1))
+    path[:, 0, 3] = 1.1 * np.arange(5)
+    other[:, 0, 3] = scale * path[:, 0, 3]
+    bag.clouds().moving("odom", "base_link", Trajectory(STAMPS, path)).tf("base_link", "tof", MOUNT)
+    bag.odometry(topic, Trajectory(STAMPS, other), "", POSE_STAMPED, frame)
+    flight, named = read_flight(bag.write()), read_flight(bag.path, poses=topic)
+    assert (flight.facts["poses"] == topic) == ("left out" not in why)
+    assert f"poses of {topic}{' are ' if 'out' in why else ' '}{why}" in flight.facts["notes"] if why else True
+    assert ("notes" in flight.facts) == bool(why)
+    assert named.facts["poses"] == topic
+
+
+@pytest.mark.parametrize("mount_on", ["/tf_static", "/tf"])
+@pytest.mark.parametrize("beside", [False, True])
+def test_a_topic_with_the_name_of_a_goal_is_read_if_nothing_else_has_poses(bag, mount_on, beside):
+    bag.clouds().odometry("/goal", poses(5, seed=2)).tf("base_link", "tof", MOUNT, topic=mount_on)
+    flight = read_flight((bag.odometry() if beside else bag).write())
+    assert flight.facts["poses"] == ("/odom" if beside else "/goal")
+    assert ("poses of /goal are left out: of a goal by its name" in flight.facts.get("notes", "")) == beside
+
+
+def test_odometry_of_a_drone_with_a_gimbal_on_tf_is_not_compared_with_it(bag):
+    gimbal = Trajectory(STAMPS, np.stack([T_of((k, 0, 0), (0, 0.02 * k, 0)) for k in range(5)]))
+    still = Trajectory(STAMPS, np.tile(np.eye(4), (5, 1, 1)))
+    flight = read_flight(bag.clouds().odometry(trajectory=still).moving("base_link", "tof", gimbal).write())
+    assert flight.facts["poses"] == "/odom"
+
+
+def test_the_last_static_transform_that_is_valid_holds_and_one_that_is_not_is_named(bag):
+    wrong, none = MOUNT.copy(), MOUNT.copy()
+    wrong[0, 3] = np.nan
+    bag.clouds().odometry().tf("base_link", "tof", MOUNT).tf("base_link", "tof", wrong, 0.3).tf(
+        "base_link", "rig", none
+    )
+    rotation = bag.rows[-1][3].transforms[0].transform.rotation
+    rotation.x = rotation.y = rotation.z = rotation.w = 0.0
+    flight = read_flight(bag.write())
+    np.testing.assert_allclose(flight.T_drone_sensor, MOUNT, atol=1e-12)
+    assert (
+        "transform base_link → rig is left out: 1 poses, none valid; expected finite numbers and unit quaternions, not"
+        " x y z 0.3 0 0.1, qx qy qz qw 0 0 0 0"
+    ) in flight.facts["notes"]
+
+
+def test_control_signs_in_names_of_frames_are_not_printed(bag):
+    flight = read_flight(bag.clouds(frame="to\nf").odometry(child="\x1bb").tf("\x1bb", "to\nf", MOUNT).write())
+    np.testing.assert_allclose(flight.T_drone_sensor, MOUNT, atol=1e-12)
+    assert flight.facts["frames"] == "odom → �b → to�f"
+
+
 @pytest.mark.parametrize("latest", [2, 5])
 def test_a_path_that_grows_or_keeps_its_latest_poses_has_all(bag, latest):
     bag.clouds()
@@ -340,6 +401,28 @@ def test_a_path_that_grows_or_keeps_its_latest_poses_has_all(bag, latest):
     flight = read_flight(bag.write())
     np.testing.assert_allclose(flight.prior.T_world_drone, DRONE.T_world_drone, atol=1e-9)
     assert flight.skipped == {}
+
+
+@pytest.mark.parametrize("is_same", [False, True])
+@pytest.mark.parametrize("is_planned", [False, True])
+def test_poses_of_a_path_without_stamps_have_those_of_the_messages_that_end_with_them(bag, is_same, is_planned):
+    bag.clouds()
+    for end in range(1, len(STAMPS) + 1):
+        shown = slice(end - 1, None) if is_planned else slice(None, end)
+        bag.path_of(Trajectory(STAMPS[shown], DRONE.T_world_drone[shown]), STAMPS[end - 1])
+        message = bag.rows[-1][3]
+        for each in message.poses:
+            each.header.stamp = (message if is_same else bag.rows[0][3]).header.stamp  # or 0
+    if is_planned:
+        with pytest.raises(
+            InputError, match=r"/path: 5 poses with one stamp, 0.000 s; expected that of each, or anoth"
+        ):
+            read_flight(bag.write())
+        return
+    flight = read_flight(bag.write())
+    np.testing.assert_array_equal(flight.prior.stamp_s, STAMPS)
+    np.testing.assert_allclose(flight.prior.T_world_drone, DRONE.T_world_drone, atol=1e-9)
+    assert "poses of /path have no stamps of their own; each has that of the message" in flight.facts["notes"]
 
 
 def test_a_path_of_another_map_is_not_joined(bag):
