@@ -13,7 +13,7 @@ from steelnb.core.errors import InputError
 from steelnb.core.files import damaged
 from steelnb.core.types import Array, Imu, IntArray, Trajectory
 from steelnb.io import messages as ros
-from steelnb.io.cameras import Camera, camera_at, cameras_of
+from steelnb.io.cameras import DepthCamera, camera_at, cameras_of
 from steelnb.io.clocks import OF_BAG, taken_together
 from steelnb.io.containers import Container, LostIndexError
 from steelnb.io.frames import Frames, drone_axes, sensor_frames, world_axes
@@ -221,7 +221,7 @@ class _Bag:
         return found
 
     def _walk(
-        self, topic: str, cameras: list[Camera], frames: Frames, groups: list[list[int]], number: IntArray
+        self, topic: str, cameras: list[DepthCamera], frames: Frames, groups: list[list[int]], number: IntArray
     ) -> Iterator[Callable[[], Array]]:
         """Decoders of the scans with these increasing numbers; ``groups``: numbers of the messages of each."""
         selected = [groups[k] for k in number.tolist()]

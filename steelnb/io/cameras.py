@@ -12,7 +12,7 @@ from steelnb.io.headers import Headers
 from steelnb.io.topics import camera_topic
 
 
-class Camera(NamedTuple):
+class DepthCamera(NamedTuple):
     """A camera in a ``frame``, and the stamp from which its ``info`` holds."""
 
     begin_s: float
@@ -20,11 +20,11 @@ class Camera(NamedTuple):
     info: ros.CameraInfo
 
 
-def cameras_of(bag: Container, headers: Headers, topic: str) -> list[Camera]:
+def cameras_of(bag: Container, headers: Headers, topic: str) -> list[DepthCamera]:
     """The cameras of a topic's depth images, with notes on what is left out or contradicts. Raises `InputError`."""
     names = (topic, *headers.cameras)
     frame_of = {name: next(iter(headers.objects(name)))[0] for name in names}
-    cameras = [Camera(*each) for each in headers.cameras[camera_topic(bag, topic, frame_of)]]
+    cameras = [DepthCamera(*each) for each in headers.cameras[camera_topic(bag, topic, frame_of)]]
     if "rect" in topic.rpartition("/")[2]:
         cameras = [each._replace(info=each.info.rectified()) for each in cameras]
     if len(cameras) > len({each.frame for each in cameras}):
@@ -41,7 +41,7 @@ def cameras_of(bag: Container, headers: Headers, topic: str) -> list[Camera]:
     return cameras
 
 
-def camera_at(cameras: list[Camera], frame: str, stamp_s: float) -> ros.CameraInfo:
+def camera_at(cameras: list[DepthCamera], frame: str, stamp_s: float) -> ros.CameraInfo:
     """The camera of an image: the latest in its frame or, if none is in it, of all; the first before any."""
     own = [each for each in cameras if each.frame == frame] or cameras
     return ([each for each in own if each.begin_s <= stamp_s] or own[:1])[-1].info
