@@ -13,7 +13,7 @@ from typing import Any, Literal, NamedTuple, ParamSpec, TypeVar
 
 import numpy as np
 
-from steelnb.core.arrays import as_array
+from steelnb.core.arrays import as_array, fields_of, remedy
 from steelnb.core.checks import quoted, shown
 from steelnb.core.errors import InputError
 
@@ -64,7 +64,8 @@ def checks_arguments(function: Callable[P, R]) -> Callable[P, R]:
             return kind.make(value)
         by = MAKERS.get(kind.words.partition(" ")[0])
         of = f" of {value.dtype}" if "array" in kind.words and hasattr(value, "dtype") else ""
-        raise InputError(f"{name} = {shown(value)}{of}: expected {kind.words}{f', as from {by}' if by else ''}")
+        hint = f", as from {by}" if by else remedy(value) if "array" in kind.words else ""
+        raise InputError(f"{name} = {shown(value)}{of}: expected {kind.words}{hint}")
 
     @functools.wraps(function)
     def checked(*args: P.args, **kwargs: P.kwargs) -> R:
@@ -109,7 +110,9 @@ def _demand_of(hint: Any) -> Demand:
         return Demand(callable, "a function")
     elif origin is np.ndarray:
         return Demand(
-            _is_numeric, "an array of numbers", lambda value: value if hasattr(value, "dtype") else as_array(value)
+            _is_numeric,
+            "an array of numbers",
+            lambda value: value if hasattr(value, "dtype") and not fields_of(value) else as_array(value),
         )
     elif origin in (collections.abc.Iterable, collections.abc.Sequence):
         return Demand(_is_series, "a sequence")

@@ -12,7 +12,7 @@ from typing import Any, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from steelnb.core.arrays import as_array, check_coordinates
+from steelnb.core.arrays import as_array, check_coordinates, fields_of, remedy
 from steelnb.core.errors import InputError
 
 _Array = NDArray[np.float64]
@@ -186,7 +186,7 @@ def checked_poses(T_target_source: object, name: str, count: int) -> _Array:
 def _real(values: object, name: str, expected: str) -> _Array:
     """An array of real numbers as float64; masked entries become NaN."""
     try:
-        if isinstance(values, np.ma.MaskedArray):
+        if isinstance(values, np.ma.MaskedArray) and not fields_of(values):
             values = np.ma.filled(values.astype(np.float64), np.nan)
         array = as_array(values)
         if array.dtype.kind not in "fiu":
@@ -194,7 +194,7 @@ def _real(values: object, name: str, expected: str) -> _Array:
         return array.astype(np.float64, copy=False)
     except (TypeError, ValueError, RuntimeError):  # the last by tensors with gradients
         kind = getattr(values, "dtype", type(values).__name__)
-        raise InputError(f"{name}: {kind}; expected {expected}") from None
+        raise InputError(f"{name}: {kind}; expected {expected}{remedy(values)}") from None
 
 
 def _is_rigid(x: list[float], y: list[float], z: list[float], last: list[float]) -> bool:

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
@@ -15,7 +16,7 @@ from steelnb.core.types import Flight, Imu, Lines, Scan, Segments, Trajectory
 from steelnb.fusion import SegmentMap
 from steelnb.fusion.structure import Structure
 from steelnb.odometry import SegmentOdometry
-from steelnb.points import VoxelMap
+from steelnb.points import VoxelMap, voxel_grid
 from steelnb.simulation import build_tower
 
 K = 5
@@ -114,6 +115,22 @@ def test_lists_single_precision_and_rounded_rotations_are_accepted_as_float64():
     assert isinstance(masked.stamp_s, float)
     assert np.isnan(masked.points).all()
     assert Scan(0.0, CLOUD).points is CLOUD
+
+
+@pytest.mark.parametrize("shape", [(12,), (3, 4)])
+def test_the_fields_x_y_and_z_of_a_structured_array_are_points_and_an_object_with_points_is_told_so(shape):
+    read = np.zeros(shape, [("intensity", "f4"), ("z", "f4"), ("Y", "f8"), ("x", "f4")])
+    read["x"], read["Y"], read["z"] = 1, 2, 3
+    np.testing.assert_array_equal(Scan(0.0, read).points, np.tile([1.0, 2.0, 3.0], (*shape, 1)))
+    masked = np.ma.array(read, mask=np.zeros(shape, [(name, bool) for name in read.dtype.names]))
+    masked.mask["z"] = True
+    assert np.isnan(Scan(0.0, masked).points[..., 2]).all()
+    assert voxel_grid(read.ravel(), 0.1).tolist() == [[1, 2, 3]]
+    for call in (lambda: Scan(0.0, SimpleNamespace(points=CLOUD)), lambda: voxel_grid(Scan(0.0, CLOUD), 0.1)):
+        with pytest.raises(InputError, match=r"an array.*, such as its \.points$"):
+            call()
+    with pytest.raises(InputError, match="expected real numbers in an array"):
+        Scan(0.0, read[["x", "z"]])
 
 
 @pytest.mark.parametrize("shape", [(12, 3), (3, 4, 3)])
