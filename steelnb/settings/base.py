@@ -2,6 +2,7 @@
 
 import ast
 import json
+import re
 import tomllib
 from typing import Annotated, Any, ClassVar, Self, get_args
 
@@ -40,6 +41,16 @@ def _checked_seed(value: Any) -> rng.Seed:
 
 
 SeedOrReport = Annotated[rng.Seed, BeforeValidator(_checked_seed)]
+
+
+def seeds_of(value: Any) -> list[Any]:
+    """The seeds of a range such as ``"101-130"``, or the value itself as the only one."""
+    if not isinstance(value, str) or value == "report":
+        return [value]
+    found = re.fullmatch(r"(\d+)-(\d+)", value.replace(" ", ""))
+    if not found or not 0 <= int(found[2]) - int(found[1]) < 100_000:
+        raise ValueError("expected a list, or a range such as '101-130' of at most 100,000 seeds")
+    return list(range(int(found[1]), int(found[2]) + 1))
 
 
 class Settings(BaseModel):
@@ -119,16 +130,25 @@ def describe_fault(kind: type[Settings], fault: ValidationError) -> str:
     message = f"{message[:1].lower()}{message[1:]}"
     if not first["loc"]:
         return f"{kind.__name__}: {message}"
-    loc = first["loc"]
+    loc = tuple(part for part in first["loc"] if not _is_annotation(part)) or first["loc"]
     if first["type"] == "missing" and isinstance(loc[-1], int):  # of the values of a tuple
         count = loc[-1] + sum(each["loc"][:-1] == loc[:-1] for each in faults)
         loc, message = loc[:-1], f"expected {count} values"
+    elif first["input"] != first["input"]:  # NaN, whatever the bound that it is compared with
+        message = "input should be a finite number"
+    elif first["type"] in ("model_type", "dict_type"):
+        message = "expected a table"
     name = ".".join(str(part) for part in loc)
     if first["type"] == "extra_forbidden":
         known, family = setting_names(kind), getattr(kind, "family", None)
         has = f"the family {family!r} has" if family else "expected one of"
         message = f"unknown setting{guess(name, known)}; {has} {', '.join(known)}"
     return f"{kind.__name__}: {name} = {shown(first['input'], size=200)}: {message}"
+
+
+def _is_annotation(part: str | int) -> bool:
+    """Whether a part of an error's place is the kind that pydantic tried, not the name of a setting or its key."""
+    return isinstance(part, str) and "[" in part and part != "[key]"
 
 
 def as_plain(value: Any, lists_as: type = tuple) -> Any:

@@ -1,7 +1,7 @@
 """Settings of one experiment: the simulated world and the odometry."""
 
-import numbers
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Annotated, Any, Self
 
 import numpy as np
@@ -14,12 +14,13 @@ from steelnb.settings.base import OrNone, SeedOrReport, Settings
 from steelnb.settings.flight import REST_S, FlightSettings, TrajectoryName
 from steelnb.settings.noise import Noise
 from steelnb.settings.odometry import Family, OdometrySettings, OrbSettings, ReportCloudSettings, of_its_method
+from steelnb.settings.presets import SensorName
 from steelnb.settings.report_plots import STEP_S, ReportPlot
 from steelnb.settings.sensors import ImuSettings, TofSettings
 from steelnb.settings.tower import TowerSettings
 
-SCANS_MIN, SEED = 2, 1
-"""The first scan becomes the map, so only the second one can have an error; and the seed that is not given."""
+SCANS_MIN = 2
+"""The first scan becomes the map, so only the second one can have an error."""
 
 
 class ExperimentSettings(Settings):
@@ -31,7 +32,7 @@ class ExperimentSettings(Settings):
 
     of_preset = ("sensor",)
 
-    sensor: str
+    sensor: SensorName
     noise_name: str
     seed: SeedOrReport
     tower: TowerSettings = TowerSettings()
@@ -93,20 +94,20 @@ class ExperimentSettings(Settings):
     @classmethod
     def preset(
         cls,
-        trajectory: TrajectoryName = "zigzag",
-        noise: str = "random-walk",
+        trajectory: TrajectoryName | None = None,
+        noise: str | None = None,
         method: str = "least_squares",
-        sensor: str = "starling2",
-        seed: rng.Seed = SEED,
+        sensor: str | Path = "starling2",
+        seed: rng.Seed | None = None,
         duration_s: float | None = None,
         overrides: dict[str, Any] | None = None,
         tower: str | None = None,
     ) -> "ExperimentSettings":
         """The settings of a flight, noise, method, sensor and tower, named as in the notebooks.
 
-        By default, the flight's preset determines the tower and the duration, and a drone with an IMU rests for
-        `REST_S` first. ``overrides`` changes single settings, such as ``{"tof.rate_hz": 10.0, "hough.dx_m": 0.05}``.
-        Raises `InputError`.
+        By default, the flight is a ``zigzag`` with the noise ``random-walk`` and the seed 1, its preset determines the
+        tower and the duration, and a drone with an IMU rests for `REST_S` first. ``overrides`` changes single settings,
+        such as ``{"tof.rate_hz": 10.0, "hough.dx_m": 0.05}``. Raises `InputError`.
 
         >>> settings = ExperimentSettings.preset("loops", method="best", overrides={"tof.rate_hz": 10.0})
         >>> settings.tof.rate_hz, settings.odometry.dof
@@ -115,13 +116,14 @@ class ExperimentSettings(Settings):
         odometry, imu = OdometrySettings.preset(method, sensor), ImuSettings.preset(sensor)
         overrides = {} if overrides is None else overrides
         given = {"trajectory": trajectory, "noise": noise, "seed": seed, "duration_s": duration_s, "tower": tower}
-        check_given_once(overrides, {name: None if _is_usual(name, value) else value for name, value in given.items()})
+        check_given_once(overrides, given)
+        trajectory = "zigzag" if trajectory is None else trajectory
         of_flight = {"still_s": REST_S} if imu and trajectory in ("zigzag", "loops") else {}
         of_flight |= {name.removeprefix("flight."): value for name, value in _of_flight(overrides).items()}
         settings = cls.model_construct(  # checked when they are changed
             sensor=sensor,
-            noise_name=noise,
-            seed=seed,
+            noise_name="random-walk" if noise is None else noise,
+            seed=1 if seed is None else seed,
             tower=TowerSettings.of_flight(trajectory) if tower is None else TowerSettings.preset(tower),
             flight=FlightSettings.preset(trajectory, duration_s, of_flight),
             tof=TofSettings.preset(sensor),
@@ -140,8 +142,8 @@ class ExperimentSettings(Settings):
         overrides: dict[str, Any] | None = None,
         run: str = "",
         noise: str | None = None,
-        sensor: str = "report",
-        seed: rng.Seed = "report",
+        sensor: str | Path = "report",
+        seed: rng.Seed | None = None,
         duration_s: float | None = None,
         tower: str | None = None,
     ) -> "ExperimentSettings":
@@ -159,13 +161,13 @@ class ExperimentSettings(Settings):
         own = {"tof.samples": plot.name} | ({} if plot.still_s is None else {"flight.still_s": plot.still_s})
         usual_s = overridden(overrides, ARGUMENTS["duration_s"], plot.duration_s)
         settings = cls.preset(
-            plot.flight or plot.trajectory, noise or plot.noise, odometry or method, sensor, seed,  # type: ignore[arg-type]
+            plot.flight or plot.trajectory, noise or plot.noise, odometry or method, sensor,  # type: ignore[arg-type]
+            "report" if seed is None else seed,
             usual_s if duration_s is None else duration_s, own | _of_flight(overrides), tower,
         )  # fmt: skip
         if isinstance(settings.odometry, ReportCloudSettings):
             settings = settings.override({"broken_off_s": plot.broken_off_s})
-        seed_given = None if _is_usual("seed", seed) else seed
-        given = {"noise": noise, "seed": seed_given, "duration_s": duration_s, "tower": tower}
+        given = {"noise": noise, "seed": seed, "duration_s": duration_s, "tower": tower}
         check_given_once(overrides, {"trajectory": settings.flight.trajectory, **given})
         return settings.override(overrides)
 
@@ -183,6 +185,11 @@ class ExperimentSettings(Settings):
         """
         full = {}
         for path, value in checked_kind(overrides, "overrides", dict).items():
+            if self.imu is None and "imu" not in overrides and str(path).startswith("imu."):
+                raise InputError(
+                    f"{path} = {shown(value)}: imu is None; expected all of it, as [imu] in a sensor's file, in a"
+                    " simulation as imu = {...}, or in a recording as inertial = {...}"
+                )
             table = self.table_of(checked_kind(path, "a name in overrides", str))
             named = path == "tower" and isinstance(value, str)
             full[path if path.partition(".")[0] == table else f"odometry.{path}"] = (
@@ -196,13 +203,6 @@ ARGUMENTS = {
     "tower": "tower",
 }  # fmt: skip
 """Argument of `ExperimentSettings.preset` → its name in overrides. A method or sensor is chosen by its preset alone."""
-
-
-def _is_usual(name: str, value: Any) -> bool:
-    """Whether an argument may have this value because none was given."""
-    if name == "seed":
-        return isinstance(value, str) or (isinstance(value, numbers.Integral) and value == SEED)
-    return isinstance(value, str) and (name, value) in (("trajectory", "zigzag"), ("noise", "random-walk"))
 
 
 def overridden(overrides: Mapping[str, Any], name: str, value: Any) -> Any:
@@ -222,8 +222,11 @@ def _of_flight(overrides: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def check_given_once(overrides: dict[str, Any], arguments: Mapping[str, Any]) -> None:
-    """Raise `InputError` if one of the `ARGUMENTS` has another value in the overrides. None: not given, or usual."""
-    checked_kind(overrides, "overrides", dict)
+    """Raise `InputError` if one of the `ARGUMENTS` has another value in the overrides, and if these name a setting
+    twice. None: not given."""
+    full = [str(name).removeprefix("odometry.") for name in checked_kind(overrides, "overrides", dict)]
+    if twice := [name for name in full if full.count(name) > 1]:
+        raise InputError(f"overrides: {twice[0]} and odometry.{twice[0]} are the same: expected one of them")
     for name, value in arguments.items():
         again = overridden(overrides, ARGUMENTS[name], value)
         if value is not None and again is not value and np.any(again != value):  # NaN differs from itself

@@ -1,7 +1,9 @@
 """Settings of the odometries, one class per family of methods. Lengths in metres, angles in radians."""
 
 from abc import abstractmethod
+from collections.abc import Mapping
 from contextlib import suppress
+from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal, Self, get_args
 
 from pydantic import AfterValidator, Field, ValidationInfo, model_validator
@@ -52,7 +54,9 @@ class OdometrySettings(Settings):
         return self.replace(preprocess=self.preprocess.lowered(by_m))
 
     @staticmethod
-    def preset(method: str = "best", sensor: str = "starling2", overrides: dict[str, Any] | None = None) -> "Family":
+    def preset(
+        method: str = "best", sensor: str | Path = "starling2", overrides: dict[str, Any] | None = None
+    ) -> "Family":
         """The settings of a method with a sensor's data; ``overrides`` as for `override`. The families ``faces`` and
         ``orb`` use the IMU of the sensor's preset. Raises `InputError`.
 
@@ -61,16 +65,13 @@ class OdometrySettings(Settings):
         ('faces', 0.1)
         """
         of_sensor = sensor_preset(sensor)
-        values = {"method": method, **method_preset(method, of_sensor.get("methods", {}))}
-        family = str(values.pop("family", None))
-        if family not in FAMILIES:
-            raise InputError(f"[methods.{method}] family = {family!r}; expected one of {quoted(FAMILIES)}")
-        kind = FAMILIES[family]
-        values |= {name: of_sensor.get(name, {}) for name in ("hough", "fusion") if name in kind.model_fields}
+        kind, values = of_method(method, of_sensor.get("methods", {}))
+        shared = [name for name in ("hough", "fusion") if name in kind.model_fields]
+        values |= {name: of_sensor.get(name, {}) | values.get(name, {}) for name in shared}
         crop = of_sensor.get("preprocess", {}).get("segments" if "hough" in kind.model_fields else "clouds", {})
         values["preprocess"] = crop | values.get("preprocess", {})
         if kind in (FaceSettings, OrbSettings):
-            values["inertial"] = of_sensor.get("imu")
+            values.setdefault("inertial", of_sensor.get("imu"))
         return kind(**values).override({} if overrides is None else overrides)
 
 
@@ -214,6 +215,15 @@ FAMILIES: dict[str, type[Family]] = {kind.family: kind for kind in get_args(Fami
 """Family → its settings."""
 
 
+def of_method(method: str, of_sensor: Mapping[str, dict[str, Any]]) -> tuple[type[Family], dict[str, Any]]:
+    """The class of a method's settings, and those that its preset has, as for `method_preset`. Raises `InputError`."""
+    values = {"method": method, **method_preset(method, of_sensor)}
+    family = str(values.pop("family", None))
+    if family not in FAMILIES:
+        raise InputError(f"method {method!r}: family = {family!r}; expected one of {quoted(FAMILIES)}")
+    return FAMILIES[family], values
+
+
 def of_its_method(value: Any, info: ValidationInfo) -> Any:
     """A table of settings as those of its method's family, which tells the classes of `Family` apart; a sensor's own
     methods are those of its preset."""
@@ -222,4 +232,4 @@ def of_its_method(value: Any, info: ValidationInfo) -> Any:
     own: dict[str, Any] = {}
     with suppress(InputError):  # a sensor's file may be elsewhere
         own = sensor_preset(info.data.get("sensor", "")).get("methods", {})
-    return FAMILIES[method_preset(value.get("method"), own)["family"]](**value)  # type: ignore[arg-type]
+    return of_method(value.get("method"), own)[0](**value)  # type: ignore[arg-type]

@@ -1,10 +1,13 @@
 """Presets: TOML files in ``steelnb/settings/presets``. A user can copy one, change it and pass its path."""
 
+import os
 import tomllib
 from collections.abc import Mapping
 from functools import cache
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Annotated, Any, TypeVar
+
+from pydantic import BeforeValidator
 
 from steelnb.core.checks import guess, quoted, shown
 from steelnb.core.errors import InputError
@@ -18,8 +21,13 @@ S = TypeVar("S", bound=Settings)
 
 def read_toml(path: Path, expected: str = "") -> dict[str, Any]:
     """The tables of a TOML file; ``expected`` describes its content in messages. Raises `InputError`."""
-    with reading(path, expected or "a TOML file"), path.open("rb") as file:
-        return tomllib.load(file)
+    expected = expected or "a TOML file"
+    with reading(path, expected):
+        try:
+            text = path.read_bytes().decode("utf-8-sig")  # editors of Windows write a byte order mark
+        except UnicodeDecodeError:
+            raise InputError(f"{path}: text that is not UTF-8; expected {expected}, saved as UTF-8") from None
+        return tomllib.loads(text)
 
 
 def read_tables(path: Path, kind: type[S], expected: str) -> dict[str, S]:
@@ -35,9 +43,18 @@ def read_tables(path: Path, kind: type[S], expected: str) -> dict[str, S]:
     return found
 
 
-def sensor_preset(sensor: str) -> dict[str, Any]:
-    """The tables of a sensor's preset or of a file ``FILE.toml``. Missing values come from the preset that ``based_on``
-    names. Raises `InputError`."""
+def sensor_name(sensor: Any) -> Any:
+    """The name of a sensor, which may be given as the path of its file."""
+    return os.fspath(sensor) if isinstance(sensor, os.PathLike) else sensor
+
+
+SensorName = Annotated[str, BeforeValidator(sensor_name)]
+
+
+def sensor_preset(sensor: str | Path) -> dict[str, Any]:
+    """The tables of a sensor's preset or of a file ``FILE.toml``, all of them checked. Missing values come from the
+    preset that ``based_on`` names; ``imu = false`` is none. Raises `InputError`."""
+    sensor = sensor_name(sensor)
     if isinstance(sensor, str) and sensor.endswith(".toml"):
         own = as_plain(read_toml(Path(sensor), "a sensor's preset"))
     elif isinstance(sensor, str) and sensor in SENSORS:
@@ -46,11 +63,16 @@ def sensor_preset(sensor: str) -> dict[str, Any]:
         near = guess(sensor, SENSORS)
         raise InputError(f"sensor = {shown(sensor)}{near}; expected one of {quoted(SENSORS)}, or a file FILE.toml")
     base = own.pop("based_on", None)
-    if base is None:
-        return own
-    if base not in SENSORS:
+    if base is not None and base not in SENSORS:
         raise InputError(f"{sensor}: based_on = {base!r}: expected one of {quoted(SENSORS)}")
-    return merged(sensor_preset(base), own)
+    tables = own if base is None else merged(sensor_preset(base), own)
+    if tables.get("imu") is False:
+        del tables["imu"]
+    if sensor not in SENSORS:
+        from steelnb.settings.sensor_files import check_sensor  # imports this module
+
+        check_sensor(sensor, tables)
+    return tables
 
 
 def preset_table(file: str, kind: str, name: str) -> dict[str, Any]:

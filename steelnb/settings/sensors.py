@@ -4,6 +4,7 @@ Lengths in metres, angles in radians, times in seconds.
 """
 
 import math
+from pathlib import Path
 from typing import Annotated, Literal, Self
 
 import numpy as np
@@ -106,7 +107,7 @@ class TofSettings(CameraSettings):
         return checked_steps(np.array(self.samples, dtype=np.int64))
 
     @classmethod
-    def preset(cls, sensor: str) -> "TofSettings":
+    def preset(cls, sensor: str | Path) -> "TofSettings":
         """The sensor of ``presets/sensors/NAME.toml`` or of a file ``FILE.toml``. Raises `InputError`."""
         return cls(**sensor_preset(sensor).get("tof", {}))
 
@@ -127,7 +128,7 @@ class ImuSettings(Settings):
     accelerometer_bias: NotNegative = 0.0
 
     @classmethod
-    def preset(cls, sensor: str) -> "ImuSettings | None":
+    def preset(cls, sensor: str | Path) -> "ImuSettings | None":
         """The IMU of a sensor's preset; None without one. Raises `InputError`."""
         table = sensor_preset(sensor).get("imu")
         return None if table is None else cls(**table)

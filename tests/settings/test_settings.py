@@ -60,6 +60,18 @@ from steelnb.simulation.tof import scan_steps
         ({"sensor": "starling2-honest", "overrides": {"imu.gyro": 0}}, "mean 'gyro_(noise|walk|bias)'"),
         ({"sensor": "starling2-honest", "overrides": {"imu.gyro_noise": float("nan")}}, "gyro_noise = nan"),
         ({"overrides": {"imu.gyro_noise": 1e-3}}, r"imu.gyro_noise = 0.001: imu is None; expected all of it"),
+        ({"overrides": {"imu.gyro_noise": 1e-3}}, r"as \[imu\] in a sensor's file, in a simulation as imu = {...}, or"),
+        ({"overrides": {"imu": 3}}, "imu = 3: expected a table"),
+        ({"overrides": {"tof.range_scale": float("nan")}}, "range_scale = nan: input should be a finite number"),
+        ({"overrides": {"flight.standoff_m": float("nan")}}, "standoff_m = nan: input should be a finite number"),
+        (
+            {"method": "report-icp", "overrides": {"broken_off_s": None}},
+            "broken_off_s = None: input should be a valid t",
+        ),
+        (
+            {"overrides": {"preprocess.crop_m": 3.0, "odometry.preprocess.crop_m": 4.0}},
+            "preprocess.crop_m and odometry.preprocess.crop_m are the same: expected one of them",
+        ),
         ({"overrides": {"sensor": "report"}}, "sensor = 'report': this is 'starling2'; choose it by its preset"),
         ({"noise": "tilt", "overrides": {"noise_name": "none"}}, "noise = 'tilt', and 'none' in the overrides"),
         ({"duration_s": 9.0, "overrides": {"flight.duration_s": 8.0}}, "duration_s = 9.0, and 8.0"),
@@ -340,6 +352,66 @@ def test_settings_of_a_sensors_own_method_come_back_from_json(tmp_path):
     assert ExperimentSettings(**json.loads(settings.model_dump_json())) == settings
 
 
-@pytest.mark.parametrize("seed", [1, np.int64(1), "report"])
-def test_an_override_of_the_usual_seed_wins(seed):
-    assert ExperimentSettings.preset(seed=seed, overrides={"seed": 7}).seed == 7
+@pytest.mark.parametrize(
+    ("name", "usual", "setting", "other"),
+    [
+        ("seed", 1, "seed", 7),
+        ("noise", "random-walk", "noise_name", "tilt"),
+        ("trajectory", "zigzag", "flight.trajectory", "loops"),
+    ],
+)
+def test_an_override_wins_unless_the_argument_is_given_even_as_usual(name, usual, setting, other):
+    plain, changed = ExperimentSettings.preset(), ExperimentSettings.preset(overrides={setting: other})
+    assert plain == ExperimentSettings.preset(**{name: usual}) != changed
+    assert changed == plain.override({setting: other})
+    with pytest.raises(InputError, match=f"{name} = {usual!r}, and {other!r} in the overrides"):
+        ExperimentSettings.preset(**{name: usual}, overrides={setting: other})
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        (
+            "rate_hz = 9.0",
+            r"mine.toml: rate_hz = 9.0: unknown, did you mean 'tof.rate_hz'\?; expected one of the tables",
+        ),
+        ("[toff]\ncolumns = 9", "toff = {'columns': 9}: unknown, did you mean 'tof'"),
+        ("[preprocess]\ncrop_m = 3.3", "preprocess.crop_m = 3.3: unknown, did you mean 'preprocess.clouds.crop_m'"),
+        ("[preprocess.cloud]\ncrop_m = 3.3", "preprocess.cloud = .*did you mean 'preprocess.clouds'"),
+        ("[flight]\nstandoff_m = 3.0", "flight = {'standoff_m': 3.0}: unknown"),
+        ("[methods.bset]\ndof = 'xyz'", "methods.bset = .*did you mean 'methods.best'"),
+        ("[methods.best]\ndofs = 'xyz'", r"\[methods.best\]: CloudSettings: dofs = 'xyz'.*mean 'dof'"),
+        ("[methods.best]\nbased_on = 'faces'", r"\[methods.best\]: based_on leads back to it"),
+        ("[hough]\ndx = 4", r"mine.toml: \[hough\]: HoughSettings: dx = 4: unknown setting, did you mean 'dx_m'"),
+        ("[preprocess.segments]\ncrop_m = '4'", r"\[preprocess.segments\]: PreprocessSettings: crop_m = '4'"),
+        ("tof = 3", r"tof = 3: expected a table, \[tof\]"),
+        ("[[tof]]\nrate_hz = 9.0", r"tof = .*: expected a table, \[tof\]"),
+        ("imu = true", r"imu = True: expected a table, \[imu\]"),
+        ("preprocess = 3", "preprocess = 3: unknown, did you mean 'preprocess.clouds'"),
+        ("methods.best = 3", r"methods.best = 3: expected a table"),
+    ],
+)
+def test_a_sensors_file_is_checked_whatever_the_method(tmp_path, text, says):
+    (tmp_path / "mine.toml").write_text(f'based_on = "report"\n{text}\n')
+    with pytest.raises(InputError, match=says) as caught:
+        OdometrySettings.preset("loam", sensor=tmp_path / "mine.toml")
+    assert "\n" not in str(caught.value)
+
+
+def test_a_sensors_file_may_have_no_imu_and_own_segments_of_a_method(tmp_path):
+    own = tmp_path / "mine.toml"
+    own.write_text('based_on = "starling2-honest"\nimu = false\n[methods.average.hough]\ndx_m = 0.5\n')
+    settings = ExperimentSettings.preset(sensor=own, method="faces")
+    assert settings.imu is settings.odometry.inertial is None
+    assert settings == ExperimentSettings.preset(sensor=str(own), method="faces")
+    assert [OdometrySettings.preset(method, own).hough.dx_m for method in ("average", "none")] == [0.5, 0.07]
+
+
+@pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16", "latin-1"])
+def test_a_sensors_file_is_in_utf_8_with_or_without_a_byte_order_mark(tmp_path, encoding):
+    (tmp_path / "mine.toml").write_text("[tof]  # für drinnen\nrate_hz = 3.0\n", encoding=encoding)
+    if encoding == "utf-8-sig":
+        assert TofSettings.preset(tmp_path / "mine.toml").rate_hz == 3.0
+    else:
+        with pytest.raises(InputError, match=r"mine\.toml: text that is not UTF-8; expected .*, saved as UTF-8"):
+            TofSettings.preset(tmp_path / "mine.toml")
