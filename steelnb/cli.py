@@ -12,7 +12,7 @@ import typer
 import steelnb
 from steelnb.core.errors import InputError
 from steelnb.core.files import check_folder, display_name
-from steelnb.core.terminal import call, progress, say, warn
+from steelnb.core.terminal import call, prepare_terminal, progress, say, warn
 
 EXIT_CODES = """\b
 Exit codes:
@@ -109,7 +109,9 @@ def run(
         from steelnb.recording.summary import opened_lines
 
         own = load_odometry(odometry) if ":" in odometry else None
-        options: dict[str, Any] = {"overrides": _overrides(changed) | ({"smooth": True} if smooth else {})}
+        also = {"smooth": "--smooth"} if smooth else {}
+        also |= {} if range_max is None else {"preprocess.crop_m": "--range-max"}
+        options: dict[str, Any] = {"overrides": _overrides(changed, also) | ({"smooth": True} if smooth else {})}
         options |= {"range_max_m": range_max, "method": odometry if own is None else "best"}  # preprocessing of `best`
         recording_settings(**options)  # raises for bad options before a file is opened
         target = output or Path(f"{recording.resolve().stem}_run")
@@ -129,13 +131,15 @@ def run(
 @app.command(epilog="\b\nExample:\n  steelnb record flight.bag --trajectory loops --noise random-walk+yaw-random-walk")
 def record(
     file: Annotated[Path, typer.Argument(metavar="FILE", help="Output file, .bag or .mcap.")],
-    trajectory: Annotated[str, typer.Option(metavar="NAME", help=f"One of {', '.join(TRAJECTORIES)}.")] = "zigzag",
+    trajectory: Annotated[
+        str | None, typer.Option(metavar="NAME", help=f"One of {', '.join(TRAJECTORIES)}. Default: zigzag.")
+    ] = None,
     duration: Annotated[float | None, typer.Option(help="Duration of the flight in seconds. Default: 60.")] = None,
     noise: Annotated[
         str | None, typer.Option(help="Drift of the poses: NAME or NAME:LEVEL, or several. Default: random-walk:0.002.")
     ] = None,
     sensor: Annotated[str, typer.Option(metavar="NAME", help="Sensor preset, or FILE.toml.")] = "starling2",
-    seed: Annotated[int, typer.Option(help="Seed of drift, sensor noise and gusts.")] = 1,
+    seed: Annotated[int | None, typer.Option(help="Seed of drift, sensor noise and gusts. Default: 1.")] = None,
     changed: Set = None,
     force: Force = False,
 ) -> None:
@@ -207,11 +211,14 @@ def study(
 
     Rows are cached in .cache/runs, so a killed study resumes. Exit code 1: some runs failed.
     """
+    from joblib import parallel_config
+
     from steelnb.notebook.results import RUNS
     from steelnb.notebook.study import check_runs, read_grids, run_study, write_runs
 
     check_runs(output, runs := read_grids(settings), force)
-    write_runs(output, table := run_study(runs, jobs))
+    with parallel_config("loky", initializer=prepare_terminal):  # a worker has a terminal of its own
+        write_runs(output, table := run_study(runs, jobs))
     failed = table[table["status"] == "failed"]
     for run in failed.itertuples():
         say(f"{run.method}, {run.trajectory}, seed {run.seed}: {run.error.splitlines()[-1]}", sys.stderr)
@@ -219,11 +226,21 @@ def study(
     return int(len(failed) > 0)
 
 
-def _overrides(changed: list[str] | None) -> dict[str, Any]:
-    """Settings by name, from the arguments NAME=VALUE of ``--set``."""
+def _overrides(changed: list[str] | None, also: dict[str, str] | None = None) -> dict[str, Any]:
+    """Settings by name, from the arguments NAME=VALUE of ``--set``. ``also``: setting → another option that sets it."""
     from steelnb.settings import parse_parameter
 
+    found: dict[str, Any] = {}
+    set_by = dict(also or {})
     for text in changed or []:
-        if "=" not in text:
+        name, equals, _ = text.partition("=")
+        if not name.strip() or not equals:
             raise InputError(f"--set {text}: expected TABLE.NAME=VALUE, such as preprocess.voxel_leaf_m=0.1")
-    return dict(map(parse_parameter, changed or []))
+        name, value = parse_parameter(text)
+        full = name.removeprefix("odometry.")
+        for each in [f"{full}.{inner}" for inner in value] if isinstance(value, dict) else [full]:
+            if each in set_by:
+                raise InputError(f"--set {text}: {each} is given twice, also by {set_by[each]}; expected one of them")
+            set_by[each] = f"--set {text}"
+        found[name] = value
+    return found

@@ -73,6 +73,7 @@ def here(recorded: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return recorded
 
 
+TWICE = "--set", "map_voxel_m=0.2", "--set", "odometry.map_voxel_m=0.3"
 BAD = (
     (["run", "nothing.bag"], "nothing.bag: does not exist; expected a recording"),
     (["segment", "-o", ""], "an empty argument; expected a name or a value"),
@@ -83,6 +84,17 @@ BAD = (
     (["run", "a.mcap", "--set", "preproces.crop_m=1"], "preproces.crop_m = 1: unknown setting, did you mean"),
     (["run", "a.mcap", "--set", "method=gicp"], "method = 'gicp': this is 'best'"),
     (["run", "a.mcap", "--set", "voxels"], "--set voxels: expected TABLE.NAME=VALUE"),
+    (["run", "a.mcap", "--set", "=5"], "--set =5: expected TABLE.NAME=VALUE"),
+    (
+        ["run", "a.mcap", *TWICE],
+        "--set odometry.map_voxel_m=0.3: map_voxel_m is given twice, also by --set map_voxel_m",
+    ),
+    (["run", "a.mcap", "--smooth", "--set", "smooth=false"], "smooth is given twice, also by --smooth; expected one"),
+    (
+        ["run", "a.mcap", "--range-max=3", "--set", "preprocess={crop_m=5}"],
+        "crop_m is given twice, also by --range-max",
+    ),
+    (["run", "a.mcap", "--set", "imu.gyro_noise=1e-4"], "as [imu] in a sensor's file"),
     (["run", "a.mcap", "--mount", "1,2"], "--mount 1,2: expected six numbers"),
     (["run", "a.mcap", "--range-max", "-1"], "crop_m = -1.0"),
     (["run", "a.mcap", "--poses", "/nothing"], "no topic '/nothing'"),
@@ -104,6 +116,7 @@ BAD = (
     (["record", "b.db3"], "b.db3: ending '.db3'; expected .bag or .mcap"),
     (["record", "b.bag", "--duration", "0"], "duration_s = 0.0"),
     (["record", "b.bag", "--seed", "3", "--set", "seed=7"], "seed = 3, and 7 in the overrides: expected one seed"),
+    (["record", "b.bag", "--seed", "1", "--set", "seed=7"], "seed = 1, and 7 in the overrides: expected one seed"),
     (["record", "b.bag", "--set", "sensor=report"], "sensor = 'report': this is 'starling2'; choose it by its preset"),
     (["record", "b.bag", "--duration", "5", "--set", "flight.duration_s=6"], "duration_s = 5.0, and 6 in the overrid"),
     (["record", "b.bag", "--set", "preprocess.crop_m=3"], "preprocess.crop_m: a setting of the odometry"),
