@@ -44,7 +44,8 @@ def check_names(parameter: str, names: Iterable[str], known: Collection[str]) ->
     """Raise `InputError` for the first of the names in a parameter that is not ``known``."""
     for name in names:
         if name not in known:
-            raise InputError(f"{parameter} = {name!r}{guess(name, known)}: expected one of {quoted(known)}")
+            expected = f"one of {quoted(known)}" if known else "none"
+            raise InputError(f"{parameter} = {name!r}{guess(name, known)}: expected {expected}")
 
 
 def check_combinations(values: Values) -> None:

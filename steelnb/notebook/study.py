@@ -6,7 +6,6 @@
 
 import hashlib
 import itertools
-import re
 import traceback
 from collections.abc import Iterable
 from functools import partial
@@ -30,7 +29,8 @@ from steelnb.notebook.results import RUNS
 from steelnb.notebook.runs import Flights, run_all
 from steelnb.notebook.tables import case_of, stage_times, tower_name
 from steelnb.settings import ExperimentSettings, Settings, TrajectoryName, read_tables
-from steelnb.settings.base import Duration, SeedOrReport
+from steelnb.settings.base import Duration, SeedOrReport, seeds_of
+from steelnb.settings.presets import SensorName
 from steelnb.simulation.calibration import measure_calibration
 
 RUN_COLUMNS = ("sensor", "duration_s", "trajectory", "seed", "noise", "variant", "method")
@@ -69,13 +69,14 @@ class Grid(Settings):
 
     ``seeds``: a list, or a range such as ``"101-130"``, which includes both ends; a list may hold ranges. ``variants``:
     name of the variant in tables → changed settings. ``calibrated``: the scale and offset of each seed's camera are
-    measured before its flight, and its ranges corrected (`measure_calibration`). Repeated values count once.
+    measured before its flight, and its ranges corrected (`measure_calibration`). A single value is a list of one, and
+    repeated values count once.
     """
 
     seeds: Annotated[list[SeedOrReport], Field(min_length=1)]
     trajectories: Annotated[list[TrajectoryName], Field(min_length=1)]
     noises: Annotated[list[str], Field(min_length=1)]
-    sensors: Annotated[list[str], Field(min_length=1)]
+    sensors: Annotated[list[SensorName], Field(min_length=1)]
     methods: Annotated[list[str], Field(min_length=1)]
     duration_s: Duration = 200.0
     variants: Annotated[dict[str, dict[str, Any]], Field(min_length=1)] = {"": {}}  # noqa: RUF012
@@ -84,7 +85,12 @@ class Grid(Settings):
     @field_validator("seeds", mode="before")
     @classmethod
     def _ranges(cls, value: Any) -> Any:
-        return [seed for each in (value if isinstance(value, list) else [value]) for seed in _seeds(each)]
+        return [seed for each in (value if isinstance(value, list) else [value]) for seed in seeds_of(each)]
+
+    @field_validator("trajectories", "noises", "sensors", "methods", mode="before")
+    @classmethod
+    def _listed(cls, value: Any) -> Any:
+        return [value] if isinstance(value, str) else value
 
     @field_validator("seeds", "trajectories", "noises", "sensors", "methods")
     @classmethod
@@ -101,16 +107,6 @@ class Grid(Settings):
                 settings = settings.override(measure_calibration(settings.tof, seed))
             runs.append(Run(settings, variant))
         return runs
-
-
-def _seeds(value: Any) -> list[Any]:
-    """The seeds of a range such as ``"101-130"``, or the value itself as the only one."""
-    if not isinstance(value, str) or value == "report":
-        return [value]
-    found = re.fullmatch(r"(\d+)-(\d+)", value.replace(" ", ""))
-    if not found or not 0 <= int(found[2]) - int(found[1]) < 100_000:
-        raise ValueError("expected a list, or a range such as '101-130' of at most 100,000 seeds")
-    return list(range(int(found[1]), int(found[2]) + 1))
 
 
 def grid(**axes: Any) -> list[Run]:
@@ -240,9 +236,15 @@ def write_runs(folder: Path | str, table: pd.DataFrame) -> None:
 @checks_arguments
 def read_runs(folder: Path | str) -> pd.DataFrame:
     """Read the table that `write_runs` wrote. Raises `InputError`."""
-    runs, times = Path(folder, RUNS), Path(folder, TIMING)
-    with reading(runs, "the table of a study"):
-        table = pd.read_parquet(runs).drop_duplicates("key", ignore_index=True)
-    with reading(times, "the times of a study"):
-        timing = pd.read_parquet(times).drop_duplicates("key")
-        return table.merge(timing.drop(columns=list(RUN_COLUMNS)), on="key", how="left")
+    table = _read_table(Path(folder, RUNS), "the table of a study")
+    timing = _read_table(Path(folder, TIMING), "the times of a study").drop(columns=list(RUN_COLUMNS))
+    return table.merge(timing, on="key", how="left")
+
+
+def _read_table(path: Path, form: str) -> pd.DataFrame:
+    """One of the tables of `write_runs`, each run once."""
+    with reading(path, form):
+        table = pd.read_parquet(path)
+    if missing := [name for name in (*RUN_COLUMNS, "key") if name not in table]:
+        raise InputError(f"{path}: no column {missing[0]!r}; expected {form}")
+    return table.drop_duplicates("key", ignore_index=True)

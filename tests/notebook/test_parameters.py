@@ -101,6 +101,7 @@ def test_every_parameter_of_every_notebook_refuses_what_it_cannot_be(path: Path)
         ("05", {"mapped": ["none", "smoothed"]}, ["mapped = 'smoothed'"]),
         ("06", {"slow": ["gms"]}, ["slow = 'gms', did you mean 'gmm'"]),
         ("06", {"options": {"gmm": {"component": [3]}}}, ["options.gmm = 'component', did you mean 'components'"]),
+        ("06", {"options": {"hough": {"dx": 0.1}}}, ["options.hough = 'dx': expected none"]),
         ("06", {"options": {"gmm": {"components": [0]}}}, ["options.gmm.components = [0]", "above 0"]),
         ("06", {"cloud_seeds": {"heavi": [1]}}, ["cloud_seeds = 'heavi'"]),
         ("06", {"cloud_seeds": {"heavy": ["report"]}}, ["cloud_seeds.heavy = ['report']", "numbers"]),
