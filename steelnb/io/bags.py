@@ -16,6 +16,7 @@ from steelnb.io import messages as ros
 from steelnb.io.cameras import DepthCamera, camera_at, cameras_of
 from steelnb.io.clocks import OF_BAG, taken_together
 from steelnb.io.containers import Container, LostIndexError
+from steelnb.io.frame_names import check_order, is_body_name, is_world_name
 from steelnb.io.frames import Frames, drone_axes, sensor_frames, world_axes
 from steelnb.io.headers import Headers
 from steelnb.io.inertial import readings_of
@@ -23,7 +24,7 @@ from steelnb.io.opened import Opened, joined_parts
 from steelnb.io.scanning import Raw
 from steelnb.io.topics import PoseSource, imu_topics, pose_source, scan_topic, settled
 from steelnb.io.trajectories import check_units, read_trajectory, trajectory_of
-from steelnb.io.transforms import Tree, check_order, frame_name, is_body_name, is_world_name
+from steelnb.io.transforms import Tree, frame_name
 
 BURST_S = 0.1
 """Of the poses within this time, the first tells the unit."""
@@ -137,8 +138,7 @@ class _Bag:
         body = tree.resolve(body)
         if not world and is_world_name(sensor) and sensor not in tree.frames:
             world = sensor
-        world = tree.resolve(world)
-        if world and world != body and tree.between(world, body) is None:
+        if (world := tree.resolve(world)) and world != body and tree.between(world, body) is None:
             tree.add(world, body, found)
             tree.move_still([(world, body)])
         return self._turned(found, world, body), world, body, said

@@ -12,7 +12,8 @@ from scipy.spatial.transform import Rotation
 from steelnb.core.errors import InputError
 from steelnb.core.geometry import transform_points
 from steelnb.core.types import Array
-from steelnb.io.transforms import Placement, Tree, is_world_name
+from steelnb.io.frame_names import is_world_name
+from steelnb.io.transforms import Placement, Tree
 
 T_OPTICAL_SENSOR = np.array([[0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1.0]])
 """Rotation from x forward, y left, z up to optical axes: z forward, x right, y down (REP 103)."""

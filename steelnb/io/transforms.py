@@ -1,7 +1,7 @@
 """The tree of frames of a recording, from tf_static and tf: relations of frames over time, and the drone's frames."""
 
 from collections import defaultdict
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -11,12 +11,9 @@ from numpy.typing import NDArray
 from steelnb.core.errors import InputError
 from steelnb.core.files import printable
 from steelnb.core.types import Array, Trajectory
+from steelnb.io.frame_names import BODIES, WORLDS, is_body_name, is_world_name, namespace, own_name, world_rank
 from steelnb.io.trajectories import interpolate
 
-WORLDS = ("odom", "world", "map", "camera_init")
-"""Usual names of the frame of poses, the preferred first (REP 105): poses in odom drift but do not jump."""
-BODIES = ("base_link", "body", "base", "fcu", "base_footprint")
-"""Usual names of the drone's frame, the preferred first (REP 105)."""
 STILL = 1e-6
 """A transform on tf that varies by less is static: ROS 1 repeats static ones there, some in single precision."""
 
@@ -46,21 +43,31 @@ class Placement(NamedTuple):
 class Tree:
     """Transforms between frames. A frame may have several parents, such as odom and map."""
 
-    def __init__(self) -> None:
+    def __init__(self, edges: Mapping[tuple[str, str], Edge] | None = None) -> None:
         self.edges: dict[tuple[str, str], Edge] = {}
+        self._parents: dict[str, list[str]] = defaultdict(list)
+        self._near: dict[str, list[str]] = defaultdict(list)
+        for key, edge in (edges or {}).items():
+            self._set(key, edge)
 
     def add(self, parent: str, child: str, path: Trajectory, is_static: bool = False) -> None:
         """Add a transform at some stamps, the last of which counts if it is static."""
         T = path.T_world_drone
         moves = not is_static and bool(np.ptp(T, axis=0).max() > STILL)
         if moves or (parent, child) not in self.edges:
-            self.edges[parent, child] = Edge(T[-1], None if is_static else path, moves)
+            self._set((parent, child), Edge(T[-1], None if is_static else path, moves))
+
+    def _set(self, key: tuple[str, str], edge: Edge) -> None:
+        if key not in self.edges:
+            parent, child = key
+            self._parents[child].append(parent)
+            self._near[parent].append(child)
+            self._near[child].append(parent)
+        self.edges[key] = edge
 
     def fixed(self) -> "Tree":
         """A tree of those of tf_static."""
-        tree = Tree()
-        tree.edges = {key: edge for key, edge in self.edges.items() if edge.path is None}
-        return tree
+        return Tree({key: edge for key, edge in self.edges.items() if edge.path is None})
 
     @property
     def frames(self) -> set[str]:
@@ -70,13 +77,13 @@ class Tree:
     def resolve(self, frame: str, beside: str = "") -> str:
         """The frame of this name or, if there is none, the only one of this name in a namespace or without one; of
         several the one in the namespace of ``beside``."""
-        same = [each for each in self.frames if _last(each) == _last(frame)]
-        near = [each for each in same if beside and _space(each) == _space(beside)] or same
+        same = [each for each in self.frames if own_name(each) == own_name(frame)]
+        near = [each for each in same if beside and namespace(each) == namespace(beside)] or same
         return near[0] if frame not in self.frames and len(near) == 1 and frame else frame
 
     def between(self, target: str, source: str) -> list[str] | None:
         """Frames of the shortest way from ``target`` to ``source``, or None if nothing relates them."""
-        return _ways(target, [step for one, other in self.edges for step in ((one, other), (other, one))]).get(source)
+        return _ways(target, self._near).get(source)
 
     def moves(self, frames: Sequence[str]) -> bool:
         """Whether a transform along a way between frames moves."""
@@ -92,8 +99,7 @@ class Tree:
         fixed = self.fixed()
         found = fixed.place(target, source, np.zeros(1))
         for key, _ in self._steps(found.frames if found else ()):
-            rest = Tree()
-            rest.edges = {each: edge for each, edge in fixed.edges.items() if each != key}
+            rest = Tree({each: edge for each, edge in fixed.edges.items() if each != key})
             other = rest.place(target, source, np.zeros(1))
             if found is not None and other is not None:
                 T = (np.linalg.inv(found.T_target_source) @ other.T_target_source)[0]
@@ -131,20 +137,17 @@ class Tree:
     def drone(self, sensor: str) -> tuple[str, str]:
         """Names of the world and of the drone's frame that carries ``sensor``. Raises `InputError` with the choices."""
         self.move_still([key for key in self.edges if is_world_name(key[0])])
-        above = {frame: self.above(frame) for frame in self.frames}
-        bodies = [frame for frame in above if any(self.moves(way) for way in above[frame].values())]
-        bodies = [frame for frame in bodies if frame in above.get(sensor, {})] or bodies
+        bodies = self._moving(self.above(sensor)) or self._moving(self.frames)
         if not bodies:
             raise InputError("no transform on tf moves; expected one from the world to the drone")
-        names = [name for name in BODIES if name in {_last(body) for body in bodies}]
-        if names:
-            bodies = [body for body in bodies if _last(body) == names[0]]
+        if names := [name for name in BODIES if name in {*map(own_name, bodies)}]:
+            bodies = [body for body in bodies if own_name(body) == names[0]]
         else:  # a frame that moves itself, not one fixed to it, and no odom below a map
-            bodies = [body for body in bodies if any(self.edges[key].moves for key in self.edges if key[1] == body)]
+            bodies = [body for body in bodies if any(self.edges[each, body].moves for each in self._parents[body])]
             bodies = [body for body in bodies if not is_world_name(body)] or bodies
-        beside = [body for body in bodies if _space(body) == _space(sensor)]
+        beside = [body for body in bodies if namespace(body) == namespace(sensor)]
         bodies = beside or bodies
-        choices = [(world, body) for body in bodies for world in self._worlds(above[body])]
+        choices = [(world, body) for body in bodies for world in self._worlds(self.above(body))]
         if len(choices) == 1:
             return choices[0]
         listed = [f"{world}>{body}" for world, body in sorted(choices)]
@@ -152,24 +155,27 @@ class Tree:
             f"several frames may be the drone's: {', '.join(listed)}; expected one (--poses '{listed[0]}')"
         )
 
+    def _moving(self, frames: Iterable[str]) -> list[str]:
+        """Those of some frames that move in one above them."""
+        return [frame for frame in frames if any(self.moves(way) for way in self.above(frame).values())]
+
     def body_of(self, sensor: str) -> str:
         """The frame with a drone's usual name that carries ``sensor``, else the topmost one to which it is fixed; the
         first such name if it has no place."""
         above = self.above(sensor)
         if named := [frame for frame in above if is_body_name(frame)]:
-            return min(named, key=lambda frame: BODIES.index(_last(frame)))
+            return min(named, key=lambda frame: BODIES.index(own_name(frame)))
         fixed = [frame for frame, way in above.items() if not is_world_name(frame) and not self.moves(way)]
         return max(fixed, key=lambda frame: len(above[frame])) if len(above) > 1 and fixed else BODIES[0]
 
     def _worlds(self, above: dict[str, list[str]]) -> list[str]:
         """Of the frames above the drone, with the way to each, those that its poses may be in."""
         moving = [frame for frame, way in above.items() if self.moves(way)]
-        best = min(_rank(_last(frame)) for frame in moving)
+        best = min(world_rank(own_name(frame)) for frame in moving)
         if best < len(WORLDS):
-            named = [frame for frame in moving if _rank(_last(frame)) == best]
-            return named[:1] if len({_last(frame) for frame in named}) == 1 else named
-        children = {child for _, child in self.edges}
-        return [frame for frame in moving if frame not in children] or moving
+            named = [frame for frame in moving if world_rank(own_name(frame)) == best]
+            return named[:1] if len({own_name(frame) for frame in named}) == 1 else named
+        return [frame for frame in moving if frame not in self._parents] or moving
 
     def move_still(self, keys: list[tuple[str, str]]) -> None:
         """Of a recording in which nothing moves, take transforms on tf for moving ones."""
@@ -178,7 +184,7 @@ class Tree:
 
     def above(self, frame: str) -> dict[str, list[str]]:
         """A frame and its ancestors, with the way up to each."""
-        return _ways(frame, [(child, parent) for parent, child in self.edges])
+        return _ways(frame, self._parents)
 
     def _steps(self, frames: Sequence[str]) -> list[tuple[tuple[str, str], bool]]:
         """Parent and child of each transform along a way between frames, and whether the way goes down to the child."""
@@ -186,14 +192,11 @@ class Tree:
         return [((a, b), True) if (a, b) in self.edges else ((b, a), False) for a, b in pairs]
 
 
-def _ways(start: str, steps: Iterable[tuple[str, str]]) -> dict[str, list[str]]:
-    """Each frame that ``steps`` from frame to frame reach, with the shortest way to it."""
-    near = defaultdict(list)
-    for begin, end in steps:
-        near[begin].append(end)
+def _ways(start: str, near: Mapping[str, list[str]]) -> dict[str, list[str]]:
+    """Each frame that steps to ``near`` ones of each reach, with the shortest way to it."""
     ways, reached = {start: [start]}, [start]
     for frame in reached:
-        new = [each for each in dict.fromkeys(near[frame]) if each not in ways]
+        new = [each for each in dict.fromkeys(near.get(frame, ())) if each not in ways]
         ways |= {each: [*ways[frame], each] for each in new}
         reached += new
     return ways
@@ -202,38 +205,3 @@ def _ways(start: str, steps: Iterable[tuple[str, str]]) -> dict[str, list[str]]:
 def frame_name(name: str) -> str:
     """Name of a frame; ROS 1 allowed a slash before it."""
     return printable(name.lstrip("/"))
-
-
-def _last(frame: str) -> str:
-    """Name of a frame without its namespace."""
-    return frame.rpartition("/")[2]
-
-
-def _space(frame: str) -> str:
-    """Namespace of a frame."""
-    return frame.rpartition("/")[0]
-
-
-def check_order(world: str, body: str) -> tuple[str, str]:
-    """Both names; raises `InputError` if the world has the usual name of a drone, and the drone that of a world."""
-    if is_body_name(world) and is_world_name(body):
-        raise InputError(
-            f"poses of {body!r} in {world!r}: expected those of the drone in the world, as from tf by "
-            f"--poses '{body}>{world}'"
-        )
-    return world, body
-
-
-def is_body_name(frame: str) -> bool:
-    """Whether a frame has a usual name of the drone's."""
-    return _last(frame) in BODIES
-
-
-def is_world_name(frame: str) -> bool:
-    """Whether a frame has the usual name of one in which poses are."""
-    return _rank(_last(frame)) < len(WORLDS)
-
-
-def _rank(name: str) -> int:
-    """Place of a name in `WORLDS`, of which odom_combined has that of odom; their number if it is none."""
-    return next((k for k, each in enumerate(WORLDS) if name == each or name.startswith(f"{each}_")), len(WORLDS))

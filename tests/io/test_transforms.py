@@ -1,5 +1,7 @@
 """Frames of recordings: mounts through chains and on /tf, gimbals, several sensors, worlds, and clouds in the world."""
 
+import time
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -9,6 +11,7 @@ from steelnb.core.types import Trajectory
 from steelnb.io import read_flight, write_tum
 from steelnb.io.frames import T_OPTICAL_SENSOR
 from steelnb.io.messages import ODOMETRY, POSE_STAMPED, TRANSFORM
+from steelnb.io.transforms import Tree
 from tests.io.samples import POINTS, STAMPS, Bagged, T_of, poses
 
 MOUNT, DRONE = T_of((0.3, 0, 0.1), (0.1, -0.2, 1.5)), poses(5)
@@ -142,6 +145,20 @@ def test_the_drone_is_what_the_sensor_hangs_on_or_what_moves(bag):
     np.testing.assert_allclose(chosen.prior.T_world_drone, other.T_world_drone, atol=1e-9)
     with pytest.raises(InputError, match=r"no poses of 'nothing' in 'odom' on tf; .*drone, gripper, odom"):
         read_flight(unknown.path, poses="odom>nothing")
+
+
+@pytest.mark.parametrize("sensor", ["tof", "a frame that nothing relates"])
+def test_thousands_of_frames_take_no_time(sensor):
+    """Names of tracks, whose number multiplies with itself if each looks through all: that took ten seconds."""
+    tree, still = Tree(), Trajectory(STAMPS[:1], MOUNT[None])
+    for number in range(3000):
+        tree.add("map", f"track_{number}", still)
+    tree.add("map", "odom", still)
+    tree.add("odom", "base_link", DRONE)
+    tree.add("base_link", "tof", still, is_static=True)
+    begin_s = time.process_time()
+    assert tree.drone(sensor) == ("odom", "base_link")
+    assert time.process_time() - begin_s < 1.0
 
 
 def test_a_drone_that_stands_still_has_poses(bag):
