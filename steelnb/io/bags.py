@@ -94,7 +94,7 @@ class _Bag:
             self.headers.notes[f"{count} messages are {len(groups)} scans: those of one stamp are one"] = None
         self.headers.notes |= dict.fromkeys(source.notes)
         lost = ["what is whole is read"] if self.bag.notes else []
-        notes = [*self.bag.notes, *lost, *self.bag.left_out, *self.headers.notes, *frames.notes]
+        notes = [*self.bag.notes, *lost, *self.bag.left_out, *self.headers.notes, *tree.notes, *frames.notes]
         facts |= {"notes": "; ".join(notes)} if notes else {}
         walk, first = partial(self._walk, topic, cameras, frames, groups), [group[0] for group in groups]
         return Opened(frames.stamp_s[first], walk, prior, frames.T_drone_sensor, facts, readings, self.headers.skipped)
@@ -115,7 +115,7 @@ class _Bag:
         world, body, topic = "", "", source.topics[0] if source.topics else ""
         if source.uses_tf:
             try:
-                world, body = map(tree.resolve, source.pair or check_order(*tree.drone(sensor)))
+                world, body = map(tree.resolve, source.pair or tree.drone(sensor))
                 found = tree.poses(world, body)
             except InputError:
                 named = [each for each in source.topics if source.pair in (None, *self.headers.objects(each))]
@@ -133,11 +133,11 @@ class _Bag:
         else:
             found, (world, body), said = self._of_topic(topic, source.pair, tree, sensor)
             self._check_clocks(scans, topic)
-        if not body and not is_body_name(body := tree.body_of(sensor)):
-            self.headers.notes[f"poses are taken for those of {body}, to which {sensor} is fixed"] = None
-        body = tree.resolve(body)
-        if not world and is_world_name(sensor) and sensor not in tree.frames:
-            world = sensor
+        child, body = body, tree.resolve(body or tree.body_of(sensor), sensor)
+        if child != body and (child or not is_body_name(body)) and tree.between(body, sensor):
+            what = f"poses of {child}" if child else "poses"
+            self.headers.notes[f"{what} are taken for those of {body}, which carries {sensor}"] = None
+        world = world or (sensor if is_world_name(sensor) and sensor not in tree.frames else "")
         if (world := tree.resolve(world)) and world != body and tree.between(world, body) is None:
             tree.add(world, body, found)
             tree.move_still([(world, body)])
@@ -160,7 +160,7 @@ class _Bag:
             poses = {(frame, child or body): self._object(topic, (frame, child)) for frame, child in objects}
             for names, path in poses.items():
                 known.add(*names, path)
-            pair = check_order(*known.drone(sensor))
+            pair = known.drone(sensor)
             found = poses[pair] if pair in poses else known.poses(*pair)
         world, body = pair
         self.headers.notes[f"{topic} has poses of several frames; those of {body} in {world} are used"] = None

@@ -11,7 +11,17 @@ from numpy.typing import NDArray
 from steelnb.core.errors import InputError
 from steelnb.core.files import printable
 from steelnb.core.types import Array, Trajectory
-from steelnb.io.frame_names import BODIES, WORLDS, is_body_name, is_world_name, namespace, own_name, world_rank
+from steelnb.io.frame_names import (
+    BODIES,
+    WORLDS,
+    check_order,
+    is_body_name,
+    is_inverted,
+    is_world_name,
+    namespace,
+    own_name,
+    rank,
+)
 from steelnb.io.trajectories import interpolate
 
 STILL = 1e-6
@@ -41,10 +51,11 @@ class Placement(NamedTuple):
 
 
 class Tree:
-    """Transforms between frames. A frame may have several parents, such as odom and map."""
+    """Transforms between frames. A frame may have several parents, such as odom and map. ``notes``: on what is odd."""
 
     def __init__(self, edges: Mapping[tuple[str, str], Edge] | None = None) -> None:
         self.edges: dict[tuple[str, str], Edge] = {}
+        self.notes: dict[str, None] = {}
         self._parents: dict[str, list[str]] = defaultdict(list)
         self._near: dict[str, list[str]] = defaultdict(list)
         for key, edge in (edges or {}).items():
@@ -66,8 +77,10 @@ class Tree:
         self.edges[key] = edge
 
     def fixed(self) -> "Tree":
-        """A tree of those of tf_static."""
-        return Tree({key: edge for key, edge in self.edges.items() if edge.path is None})
+        """A tree of those of tf_static, with the same notes."""
+        tree = Tree({key: edge for key, edge in self.edges.items() if edge.path is None})
+        tree.notes = self.notes
+        return tree
 
     @property
     def frames(self) -> set[str]:
@@ -147,7 +160,11 @@ class Tree:
             bodies = [body for body in bodies if not is_world_name(body)] or bodies
         beside = [body for body in bodies if namespace(body) == namespace(sensor)]
         bodies = beside or bodies
-        choices = [(world, body) for body in bodies for world in self._worlds(self.above(body))]
+        choices = [check_order(world, body) for body in bodies for world in self._worlds(self.above(body))]
+        inverted = self._inverted(sensor) if all(is_inverted(*pair) for pair in choices) else []
+        for world, body in inverted if len(inverted) == 1 else ():
+            self.notes[f"{body} → {world} on tf is an odometry sent inverted: it is read as {body} in {world}"] = None
+        choices = inverted or choices
         if len(choices) == 1:
             return choices[0]
         listed = [f"{world}>{body}" for world, body in sorted(choices)]
@@ -158,6 +175,14 @@ class Tree:
     def _moving(self, frames: Iterable[str]) -> list[str]:
         """Those of some frames that move in one above them."""
         return [frame for frame in frames if any(self.moves(way) for way in self.above(frame).values())]
+
+    def _inverted(self, sensor: str) -> list[tuple[str, str]]:
+        """World and drone of each moving transform that leads down to a world, away from the sensor: of worlds with a
+        usual name or, if there is none, of all below a drone with a usual name."""
+        ways = _ways(sensor, self._near)
+        found = [(world, body) for (body, world), edge in self.edges.items() if edge.moves and is_inverted(body, world)]
+        found = [(world, body) for world, body in found if world not in ways.get(body, [world])]
+        return [pair for pair in found if is_world_name(pair[0])] or found
 
     def body_of(self, sensor: str) -> str:
         """The frame with a drone's usual name that carries ``sensor``, else the topmost one to which it is fixed; the
@@ -171,9 +196,9 @@ class Tree:
     def _worlds(self, above: dict[str, list[str]]) -> list[str]:
         """Of the frames above the drone, with the way to each, those that its poses may be in."""
         moving = [frame for frame, way in above.items() if self.moves(way)]
-        best = min(world_rank(own_name(frame)) for frame in moving)
+        best = min(rank(own_name(frame)) for frame in moving)
         if best < len(WORLDS):
-            named = [frame for frame in moving if world_rank(own_name(frame)) == best]
+            named = [frame for frame in moving if rank(own_name(frame)) == best]
             return named[:1] if len({own_name(frame) for frame in named}) == 1 else named
         return [frame for frame in moving if frame not in self._parents] or moving
 
