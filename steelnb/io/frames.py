@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from steelnb.core.errors import InputError
 from steelnb.core.geometry import transform_points
 from steelnb.core.types import Array
-from steelnb.io.frame_names import is_world_name
+from steelnb.io.frame_names import are_of_two, is_world_name
 from steelnb.io.transforms import Placement, Tree
 
 T_OPTICAL_SENSOR = np.array([[0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1.0]])
@@ -22,6 +22,9 @@ T_UP_DOWN = np.diag([1.0, -1.0, -1.0, 1.0])
 UPRIGHT, ALIGNED = 0.7, 0.9
 """Minimum cosines between the vertical and the z axis of a frame that stands upright on the drone, and between all axes
 of a frame and those of the drone, if they are meant to be the same."""
+LEVEL = 0.2
+"""Maximum sine between the horizontal and an axis that is level, as one across the image is; drones bank by more, but
+seldom longer."""
 MOUNT_MAX_M = 10.0
 """Maximum distance of a sensor from the middle of its drone."""
 OPTICAL_ENDS = ("optical", "frame", "link", "center", "centre")
@@ -73,27 +76,28 @@ def sensor_frames(
         if found is not None and mount is None:
             placed[name] = found
             T_drone_frame = np.linalg.inv(drone_axes(body)) @ found.T_target_source
-            is_ahead = is_depth and not is_optical(name) and _is_ahead(name, T_drone_frame[0])
-            if is_ahead:  # REP 103: axes are optical only if the name says so
+            ahead, why = _ahead(name, T_drone_frame) if is_depth and not is_optical(name) else ("z", "")
+            if why:  # REP 103: axes are optical only if the name says so
                 notes.append(
-                    f"depth images are in {name}, which stands upright and is not optical by its name: x is ahead"
+                    f"depth images are in {name}, which {why} and is not optical by its name: {ahead} is ahead"
                 )
-            turn = np.eye(4) if is_ahead or not optical[at[0]] else T_OPTICAL_SENSOR
+            turn = np.eye(4) if ahead == "x" or not optical[at[0]] else T_OPTICAL_SENSOR
             T_drone_scan[at], known[at] = T_drone_frame @ turn, found.known
     main = next(iter(placed), seen[0])
     others = [name for name in seen if name not in placed and name != main]
     if mount is not None and len(seen) > 1:
         raise InputError(f"scans in frames {', '.join(seen)}: one mount does not hold for all; expected tf_static")
     way = tree.between(world, body) if world else None
+    if way and tree.is_static(way):
+        notes.append(f"poses are in {world}, a frame of the drone itself: they are taken for poses in the world")
+        way = [body]
     chain = [*(way or filter(None, (world, body)))]
     if main not in placed and mount is None and is_world_name(main):
         raise InputError(
             f"scans are in {main!r}, a frame of the world, which nothing relates to {body!r}; expected scans in the "
             "frame of the sensor, or --mount if they are"
         )
-    spaces = [each.partition("/")[0] for each in (body, main) if "/" in each]
-    are_two = len({*spaces}) == 2 and len({re.sub(r"[\d_]", "", each) for each in spaces}) == 1  # uav1 and uav2
-    if main not in placed and mount is None and are_two:
+    if main not in placed and mount is None and are_of_two(body, main):
         raise InputError(
             f"scans are in {main!r}, poses of {body!r}, and nothing relates them: of two drones by their names; "
             "expected those of one, or --mount"
@@ -130,19 +134,30 @@ def sensor_frames(
     return Frames(T_mount, stamps, T_sensor_scan, moved, optical, source, " → ".join(chain), tuple(notes))
 
 
-def _is_ahead(name: str, T_drone_frame: Array) -> bool:
-    """Whether a depth camera's frame that is not optical by its name has x ahead: it stands upright, and is called a
-    link or aligned with the drone."""
+def _ahead(name: str, T_drone_frame: Array) -> tuple[str, str]:
+    """The axis of a depth camera's frame ``(N, 4, 4)`` that is ahead, if its name does not say that it is optical, and
+    why, if that is to be noted.
+
+    It is x if the frame stands upright and is called a link or aligned with the drone, or if it is pitched, which
+    leaves y level. Of optical axes, x is level.
+    """
     is_link = bool({"link", "base", "body"} & set(_words(name)))
-    return bool(T_drone_frame[2, 2] > UPRIGHT and (is_link or np.diag(T_drone_frame)[:3].min() > ALIGNED))
+    if T_drone_frame[0, 2, 2] > UPRIGHT and (is_link or np.diag(T_drone_frame[0])[:3].min() > ALIGNED):
+        return "x", "stands upright"
+    x, y = np.median(np.abs(T_drone_frame[:, 2, :2]), axis=0)
+    z_min = -LEVEL if is_link else LEVEL  # of a camera with optical axes that looks ahead on its side, z is level, too
+    if y < LEVEL < x and np.median(T_drone_frame[:, 2, 2]) > z_min:
+        return "x", "is level along y"
+    return "z", "does not stand upright" if is_link and not x < LEVEL < y else ""
 
 
 def _is_of_world(tree: Tree, world: str, frames: tuple[str, ...]) -> bool:
-    """Whether the way from the drone to the scans leads to the world, so that their points are in it.
+    """Whether the way from the drone to the scans leads to the world, so that their points are in it; not if the drone
+    itself is given as the world, or a frame fixed to it.
 
     Raises `InputError` if it leads on to something else that moves.
     """
-    if world not in frames:
+    if world not in frames or tree.is_static(frames[: frames.index(world) + 1]):
         return tree.moves(frames) and frames[-1] in tree.above(frames[0])
     beyond = list(frames[frames.index(world) :])
     if tree.moves(beyond) and beyond[-1] not in tree.above(world):
@@ -181,12 +196,19 @@ def is_optical(frame: str) -> bool:
 
 
 def note_on_rotations(T_world_drone: Array) -> str:
-    """Note if a drone with poses ``(N, 4, 4)`` is upright only if quaternions are read as w, x, y, z."""
+    """Note if a drone with poses ``(N, 4, 4)`` is upright only if quaternions are read as w, x, y, z, or if the poses
+    are those of optical axes or of axes with z down."""
     q = Rotation.from_matrix(T_world_drone[:, :3, :3]).as_quat()
-    as_read, turned = (Rotation.from_quat(each).as_matrix()[:, 2, 2] for each in (q, q[:, [1, 2, 3, 0]]))
-    is_odd = np.median(as_read) < UPRIGHT and np.quantile(turned, 0.1) > UPRIGHT
-    words = "the drone hangs upside down, unless quaternions are w, x, y, z; they are read as x, y, z, w"
-    return words if is_odd else ""
+    up, w_first = (Rotation.from_quat(each).as_matrix()[:, 2, 2] for each in (q, q[:, [1, 2, 3, 0]]))
+    if np.median(up) > UPRIGHT:
+        return ""
+    if np.quantile(w_first, 0.1) > UPRIGHT:
+        return "the drone hangs upside down, unless quaternions are w, x, y, z; they are read as x, y, z, w"
+    if np.quantile((T_world_drone @ T_OPTICAL_SENSOR)[:, 2, 2], 0.1) > UPRIGHT:
+        own = "--mount 0,0,0,90,-90,0 if scans are its own"
+        return f"the drone lies on its side, unless poses are those of a camera with optical axes ({own})"
+    hangs = np.quantile(-up, 0.1) > UPRIGHT
+    return "the drone hangs upside down, unless its axes have z down; expected z up" if hangs else ""
 
 
 def _words(frame: str) -> list[str]:

@@ -85,11 +85,34 @@ def test_a_pair_that_no_topic_has_is_refused_and_no_other_topic_is_taken(bag):
     np.testing.assert_allclose(goal.prior.T_world_drone, poses(5, seed=3).T_world_drone, atol=1e-9)
 
 
-def test_scans_of_one_drone_are_not_given_the_poses_of_another(bag):
-    path = bag.clouds(frame="uav2/tof").odometry(child="uav1/base_link", frame="uav1/odom").write()
+@pytest.mark.parametrize("mark", ["/", "_"])
+def test_scans_of_one_drone_are_not_given_the_poses_of_another(bag, mark):
+    path = bag.clouds(frame=f"uav2{mark}tof").odometry(child=f"uav1{mark}base_link", frame=f"uav1{mark}odom").write()
     with pytest.raises(InputError, match="of two drones by their names; expected those of one, or --mount"):
         read_flight(path)
     np.testing.assert_array_equal(read_flight(path, T_drone_sensor=MOUNT).T_drone_sensor, MOUNT)
+
+
+@pytest.mark.parametrize("child", ["cam0_link", "uav2_base_link", "x500_base_link"])
+def test_sensors_that_are_counted_are_those_of_one_drone(bag, child):
+    flight = read_flight(
+        bag.clouds(frame="cam1_link" if child == "cam0_link" else "uav2_tof").odometry(child=child).write()
+    )
+    assert "identity assumed" in flight.facts["mount"]
+
+
+@pytest.mark.parametrize(
+    ("turn", "note"),
+    [
+        (np.linalg.inv(T_OPTICAL_SENSOR), "lies on its side, unless poses are those of a camera with optical axes"),
+        (np.diag([1.0, -1, -1, 1]), "hangs upside down, unless its axes have z down"), (np.eye(4), ""),
+    ],
+)  # fmt: skip
+def test_poses_of_other_axes_than_the_drones_are_noted(bag, turn, note):
+    yawed = np.array([T_of((k, 0, 1), (0.1, 0, 0.7 * k)) for k in range(5)])
+    flight = read_flight(bag.clouds().odometry(trajectory=Trajectory(STAMPS, yawed @ turn)).write())
+    assert note in flight.facts.get("notes", "")
+    assert bool(note) == ("notes" in flight.facts)
 
 
 def test_quaternions_that_begin_with_w_are_noted(bag):
@@ -145,6 +168,27 @@ def test_the_drone_is_what_the_sensor_hangs_on_or_what_moves(bag):
     np.testing.assert_allclose(chosen.prior.T_world_drone, other.T_world_drone, atol=1e-9)
     with pytest.raises(InputError, match=r"no poses of 'nothing' in 'odom' on tf; .*drone, gripper, odom"):
         read_flight(unknown.path, poses="odom>nothing")
+
+
+INVERSE = Trajectory(STAMPS, np.linalg.inv(DRONE.T_world_drone))
+
+
+@pytest.mark.parametrize(("drone", "world"), [("os_sensor", "odom_lidar"), ("uav1/fcu", "uav1/local_origin")])
+def test_an_odometry_that_is_sent_inverted_is_that_of_the_drone(bag, drone, world):
+    flight = read_flight(bag.moving(drone, world, INVERSE).tf(drone, "tof", MOUNT).clouds().write())
+    np.testing.assert_allclose(flight.prior.T_world_drone, DRONE.T_world_drone, atol=1e-9)
+    np.testing.assert_allclose(flight.T_drone_sensor, MOUNT, atol=1e-12)
+    assert f"{drone} → {world} on tf is an odometry sent inverted" in flight.facts["notes"]
+
+
+def test_of_several_inverted_odometries_one_is_to_be_named(bag):
+    bag.clouds(frame="fcu").moving("fcu", "gps_origin", INVERSE).moving("fcu", "local_origin", INVERSE)
+    with pytest.raises(InputError, match="may be the drone's: gps_origin>fcu, local_origin>fcu; expected one"):
+        read_flight(bag.write())
+    usual = Bagged(bag.path.with_stem("b")).clouds().moving("odom", "base_link").tf("base_link", "tof", MOUNT)
+    flight = read_flight(usual.moving("base_link", "odom_lidar", INVERSE).moving("tof", "map_1").write())
+    assert flight.facts["poses"] == "tf odom → base_link"
+    assert "notes" not in flight.facts
 
 
 @pytest.mark.parametrize("sensor", ["tof", "a frame that nothing relates"])
@@ -259,6 +303,27 @@ def test_a_mount_on_another_frame_than_that_of_the_poses_is_named(bag):
     assert "base_link → tof is known, but nothing relates imu_link to base_link" in flight.facts["notes"]
 
 
+@pytest.mark.parametrize(
+    ("frame", "child"), [("world", "world"), ("base_link", ""), ("tof", ""), ("base_link", "base_link")]
+)
+def test_poses_that_do_not_name_the_drone_or_the_world_are_those_of_the_drone_in_the_world(bag, frame, child):
+    bag.clouds().tf("base_link", "tof", MOUNT).odometry(frame=frame, child=child)
+    if frame == "world":
+        bag.moving("world", "base_link")
+    flight = read_flight(bag.write())
+    np.testing.assert_allclose(flight.T_drone_sensor, MOUNT, atol=1e-12)
+    np.testing.assert_allclose(flight.prior.T_world_drone, DRONE.T_world_drone, atol=1e-9)
+    assert flight.facts["mount"] == "tf_static base_link → tof"
+    assert ("a frame of the drone itself" in flight.facts.get("notes", "")) == (frame != "world")
+
+
+def test_a_drone_without_its_namespace_is_the_one_beside_the_sensor_which_is_noted(bag):
+    bag.clouds(frame="uav2/tof").tf("uav1/base_link", "uav1/tof", np.eye(4)).tf("uav2/base_link", "uav2/tof", MOUNT)
+    flight = read_flight(bag.odometry().write())
+    np.testing.assert_allclose(flight.T_drone_sensor, MOUNT, atol=1e-12)
+    assert "poses of base_link are taken for those of uav2/base_link, which carries uav2/tof" in flight.facts["notes"]
+
+
 def test_of_two_drones_the_sensor_is_that_of_the_poses(bag):
     bag.clouds().odometry(child="b/base_link").tf("a/base_link", "a/tof", np.eye(4)).tf("b/base_link", "b/tof", MOUNT)
     np.testing.assert_allclose(read_flight(bag.write()).T_drone_sensor, MOUNT, atol=1e-12)
@@ -336,6 +401,28 @@ def test_a_depth_camera_that_would_look_straight_up_looks_ahead(bag, frame):
     ahead = next(iter(flight.scans)).points.reshape(-1, 3) @ flight.T_drone_sensor[:3, :3].T
     np.testing.assert_allclose(ahead[:, 0], 2.0)
     assert f"depth images are in {frame}, which stands upright" in flight.facts["notes"]
+
+
+@pytest.mark.parametrize(
+    ("frame", "rpy", "ahead", "note"),
+    [
+        ("camera_link", (0, 44, 0), "x", "stands upright"), ("camera_link", (0, 46, 0), "x", "level along y"),
+        ("camera_link", (0, 90, 0), "x", "level along y"), ("camera_link", (0, 60, 90), "x", "level along y"),
+        ("depth_camera", (0, 60, 0), "x", "level along y"), ("camera_link", (-90, 0, -90), "z", ""),
+        ("camera_link", (-120, 0, -90), "z", ""), ("camera_link", (180, 0, 0), "z", "does not stand upright"),
+        ("depth_camera", (180, 0, 0), "z", ""), ("depth_camera", (180, 20, 0), "z", ""),
+        ("depth_camera", (0, 90, 0), "z", ""),
+    ],
+)  # fmt: skip
+def test_a_depth_camera_looks_along_the_axis_that_leaves_the_image_level(bag, frame, rpy, ahead, note):
+    mount = T_of((0.1, 0, 0), np.radians(rpy))
+    bag.images("/depth/image", np.full((2, 3), 2.0, np.float32), "32FC1", frame).odometry().camera(frame=frame)
+    flight = read_flight(bag.tf("base_link", frame, mount).write())
+    turn = np.eye(4) if ahead == "x" else T_OPTICAL_SENSOR
+    np.testing.assert_allclose(flight.T_drone_sensor, mount @ turn, atol=1e-12)
+    notes = flight.facts.get("notes", "")
+    assert note in notes
+    assert bool(note) == ("is ahead" in notes)
 
 
 @pytest.mark.parametrize("beside", ["tf", "Odometry"])
