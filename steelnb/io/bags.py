@@ -1,6 +1,5 @@
 """Flights recorded in bags: which topics, clocks and frames, and the scans one by one."""
 
-import itertools
 from collections import Counter
 from collections.abc import Callable, Iterator
 from functools import partial
@@ -102,7 +101,7 @@ class _Bag:
     def _check_placed(self, scans: str, tree: Tree, body: str, sensor: str, frames: Frames, stamp_s: Array) -> None:
         """Raise `InputError` if no scan has a place on the drone, or if the clock of a transform to it differs."""
         times = {"scans": stamp_s[~np.isnan(stamp_s)]}
-        for key in _transforms(tree, body, sensor):
+        for key in tree.keys_between(body, sensor):
             if tree.edges[key].moves and (path := tree.edges[key].path) is not None:
                 times[name := f"transforms {key[0]} → {key[1]}"] = path.stamp_s
                 self._check_clocks(scans, key, name)
@@ -123,7 +122,7 @@ class _Bag:
                     raise
                 topic = named[0]
             else:
-                for key in _transforms(tree, world, body):
+                for key in tree.keys_between(world, body):
                     self._check_clocks(scans, key)
                 return self._turned(found, world, body), world, body, f"tf {world} → {body}"
         if source.file:
@@ -243,10 +242,3 @@ class _Bag:
                 parts = []
             if k >= last:
                 return
-
-
-def _transforms(tree: Tree, target: str, source: str) -> list[tuple[str, str]]:
-    """Parent and child of each transform on the way between two frames."""
-    return [
-        each if each in tree.edges else each[::-1] for each in itertools.pairwise(tree.between(target, source) or ())
-    ]

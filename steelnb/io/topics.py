@@ -14,9 +14,10 @@ from steelnb.io import messages as ros
 from steelnb.io.containers import Container
 from steelnb.io.encodings import REPLAYED
 from steelnb.io.folders import TRAJECTORIES
+from steelnb.io.frame_names import is_world_name
 from steelnb.io.headers import Headers
 from steelnb.io.layouts import DEPTHS
-from steelnb.io.transforms import Tree, is_world_name
+from steelnb.io.transforms import Tree
 
 SCANS = "clouds (PointCloud2 or depth images)"
 PACKED = {

@@ -135,7 +135,7 @@ class Tree:
 
     def poses(self, world: str, body: str) -> Trajectory:
         """Poses of ``body`` in ``world`` at the stamps of the fastest transform between them that moves."""
-        keys = [key for key, _ in self._steps(self.between(world, body) or [])]
+        keys = self.keys_between(world, body)
         self.move_still(keys)
         moving = [edge.path.stamp_s for key in keys if (edge := self.edges[key]).moves and edge.path is not None]
         if not moving:
@@ -210,6 +210,10 @@ class Tree:
     def above(self, frame: str) -> dict[str, list[str]]:
         """A frame and its ancestors, with the way up to each."""
         return _ways(frame, self._parents)
+
+    def keys_between(self, target: str, source: str) -> list[tuple[str, str]]:
+        """Parent and child of each transform on the way between two frames."""
+        return [key for key, _ in self._steps(self.between(target, source) or [])]
 
     def _steps(self, frames: Sequence[str]) -> list[tuple[tuple[str, str], bool]]:
         """Parent and child of each transform along a way between frames, and whether the way goes down to the child."""
