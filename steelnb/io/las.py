@@ -17,6 +17,9 @@ HEADER_MIN, RECORD_MIN = 227, (20, 28, 26, 34, 57, 63, 30, 36, 38, 59, 67)
 """Minimum sizes of a header, and of a record of each point format."""
 COMPRESSED, COUNT_IN_1_4 = 0xC0, 255
 """Bits of the point format that LASzip sets; size of a header with a count of 64 bits."""
+FLAGS, WITHHELD = 15, (0x80, 0x04)
+"""Byte of a record with the bit of points that are not to be used (LAS 1.1 to 1.4), and this bit in the formats up to 5
+and from 6 on."""
 POINTS_PER_BYTE_MAX = 100
 """Compressed points take a few bytes each."""
 BLOCK = 1 << 20
@@ -35,7 +38,7 @@ ANGLE = re.compile("deg|rad|grad|gon", re.IGNORECASE)
 
 
 def read_las(path: Path) -> Array:
-    """Points ``(N, 3)`` of a LAS or LAZ file. Raises ValueError."""
+    """Points ``(N, 3)`` of a LAS or LAZ file; those that it withholds are NaN. Raises ValueError."""
     file = path.read_bytes()
     if len(file) < HEADER_MIN or not file.startswith(b"LASF"):
         raise ValueError(f"{len(file)} bytes that start with {file[:4]!r}; expected LASF and its header")
@@ -56,6 +59,10 @@ def read_las(path: Path) -> Array:
     xyz = xyz_of(points, count, stride, [("<i4", 0), ("<i4", 4), ("<i4", 8)])
     xyz *= scale
     xyz += offset
+    if file[25] >= 1:
+        flags = np.frombuffer(points, np.uint8)[: count * stride].reshape(count, stride)[:, FLAGS]
+        is_withheld = flags & WITHHELD[form > 5] > 0
+        xyz[is_withheld & (np.count_nonzero(is_withheld) < count / 2)] = np.nan  # else the byte has another meaning
     return xyz
 
 
@@ -93,6 +100,7 @@ def _check_metres(file: bytes, at: int, end: int, count: int) -> None:
             text = content.decode("utf-8", "replace")
             lengths = [(name, float(size)) for name, size in LENGTH.findall(text) if not ANGLE.match(name)]
             unit = next((name for name, size in lengths if abs(size - 1) > 1e-9), "")
+            unit = "geocentric axes" if "GEOCCS" in text else unit
             unit = "degrees" if GEOGRAPHIC.search(text) and not PROJECTED.search(text) else unit
         if unit:
             raise ValueError(f"coordinates in {unit}, as its coordinate system says; expected metres")
@@ -131,8 +139,9 @@ def _unpack(file: bytes, at: int, begin: int, records: int, stride: int, count: 
         source.seek(begin)
         _check_chunks(file, begin + 8, table, lazrs.read_chunk_table(source, lazrs.LazVlr(about)), stride, layers)
         source.seek(begin)
-        coordinates = lazrs.SELECTIVE_DECOMPRESS_XY_RETURNS_CHANNEL | lazrs.SELECTIVE_DECOMPRESS_Z
-        reader = lazrs.LasZipDecompressor(source, about, lazrs.DecompressionSelection(coordinates))
+        wanted = lazrs.SELECTIVE_DECOMPRESS_XY_RETURNS_CHANNEL | lazrs.SELECTIVE_DECOMPRESS_Z
+        wanted |= lazrs.SELECTIVE_DECOMPRESS_FLAGS
+        reader = lazrs.LasZipDecompressor(source, about, lazrs.DecompressionSelection(wanted))
         while len(unpacked) < count * stride:
             block = bytearray(min(BLOCK * stride, count * stride - len(unpacked)))
             reader.decompress_many(block)

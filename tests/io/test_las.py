@@ -31,6 +31,20 @@ def test_points_are_those_of_laspy(suffix: str, point_format: int, version: str,
     np.testing.assert_array_equal(read_points(path), np.array(laspy.read(path).xyz))
 
 
+@pytest.mark.parametrize("suffix", ["las", "laz"])
+@pytest.mark.parametrize(("point_format", "version"), [(3, "1.2"), (6, "1.4")])
+def test_withheld_points_are_no_returns_unless_most_are(
+    suffix: str, point_format: int, version: str, tmp_path: Path
+) -> None:
+    path = save(tmp_path / f"a.{suffix}", point_format, version)
+    for count, expected in ((20, 20), (400, 0)):
+        file = laspy.read(path)
+        file.withheld = np.arange(500) < count
+        file.write(str(path))
+        assert np.isnan(read_points(path)).all(axis=1)[:count].sum() == expected
+        assert np.isnan(read_points(path)).sum() == 3 * expected
+
+
 @pytest.mark.parametrize(
     ("name", "at", "form", "value", "message"),
     [
@@ -70,6 +84,7 @@ WKT = [
     ("US survey foot", 'PROJCS["a",GEOGCS["b",UNIT[ "degree" , 0.017 ]],UNIT[ "US survey foot" ,0.3048006096]]'),
     ("degrees", 'GEOGCS["WGS 84",DATUM["c",SPHEROID["d",6378137,298.257]],UNIT["degree",0.0174532925199433]]'),
     ("degrees", 'GEODCRS["a",DATUM["b",ELLIPSOID["d",6378137,298]],CS[geodetic,2],ANGLEUNIT["degree",0.017]]'),
+    ("geocentric axes", 'GEOCCS["WGS 84",DATUM["a",SPHEROID["b",6378137,298.257]],PRIMEM["c",0],UNIT["metre",1]]'),
     ("", 'PROJCS["a",GEOGCS["b",UNIT["degree",0.0174532925]],UNIT["metre",1]]'),
     ("foot", 'COMPD_CS["a",PROJCS["b",GEOGCS["c",UNIT["degree",0.017]],UNIT["foot",0.3048]],VERT_CS["d",UNIT["m",1]]]'),
 ]
