@@ -20,6 +20,7 @@ from steelnb.core.files import new_file, reading
 from steelnb.core.geometry import shift_of, translated
 from steelnb.core.types import Array, IntArray
 from steelnb.hough.lines import spacing
+from steelnb.io.column_names import AXIS
 from steelnb.io.coordinates import check_degrees, check_steps, is_stray
 from steelnb.io.encodings import foreign_file
 from steelnb.io.las import read_las
@@ -35,14 +36,13 @@ COORDINATE_MIN_M = 1e-30
 """Smaller numbers than this are bytes in another order."""
 CHANNELS_MAX = 16
 """An array (3, N) has more columns than this, an array (N, 3 or more) at most as many."""
-AXIS = ("(?:pos|position|point|coord|coordinate|p|points_m_xyz|cartesian)_?{}", "{}_?(?:coord|coordinate|pos)")
 OTHER_AXES = {
     "x": ("e|east|easting|points_0", "ost|rechtswert|(?:points_m_xyz|coordinates)_0"),
     "y": ("n|north|northing|points_1", "nord|hochwert|(?:points_m_xyz|coordinates)_1"),
     "z": ("elevation|height|altitude|points_2", "elev|hoehe|höhe|alt|(?:points_m_xyz|coordinates)_2", "u|up|h"),
 }
 RARE_AXIS = (r"(?:points|coords|coordinates|local)_?{}", r"{}_?(?:local|\d)")
-"""Names of columns, the preferred first: of an axis, around its letter, other words for it, and rarer forms."""
+"""Names of columns, the preferred first: other words for an axis than `AXIS`, and rarer forms."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from steelnb.core.types import Array
+from steelnb.io.column_names import check_stated
 from steelnb.io.encodings import plain_nan
 from steelnb.io.lzf import lzf_unpacked
 from steelnb.io.records import HEADER_MAX, is_whole, xyz_of
@@ -90,15 +91,18 @@ def _header(file: bytes) -> tuple[Header, memoryview]:
     """The header, and the data after it. Keywords may be in lower case, in any order; comments and blank lines are
     skipped."""
     words: dict[str, list[str]] = {}
-    begin = 0
+    comments, begin = list[str](), 0
     while "DATA" not in words:
         end = file.find(b"\n", begin, HEADER_MAX) + 1
         line = file[begin : end or HEADER_MAX].decode("ascii", "replace").split()
         if not end and line[:1] != ["DATA"]:
             raise ValueError("no line DATA; expected the header of a PCD file")
-        if line and not line[0].startswith("#"):
+        if line and line[0].startswith("#"):
+            comments.append(" ".join(line).lstrip("# "))
+        elif line:
             words[line[0].upper()] = line[1:]
         begin = end or len(file)
+    check_stated(comments)
     fields = [name.lower() for name in words.get("FIELDS") or words.get("COLUMNS") or []]
     ones = ["1"] * len(fields)
     size, count = _numbers(words, "SIZE", len(fields)), _numbers({"COUNT": ones} | words, "COUNT", len(fields))

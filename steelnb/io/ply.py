@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from steelnb.core.types import Array
+from steelnb.io.column_names import AXIS, check_stated
 from steelnb.io.encodings import plain_nan
 from steelnb.io.records import HEADER_MAX, is_whole, walked, xyz_of
 from steelnb.io.text import Table
@@ -35,12 +36,15 @@ def read_ply(path: Path) -> Array:
     if encoding not in ORDERS:
         raise ValueError(f"format {encoding[:40]}; expected one of {', '.join(ORDERS)}")
     order, data = ORDERS[encoding], memoryview(file)[end.end() :]
+    check_stated(" ".join(line[1:]) for line in lines if line[:1] in (["comment"], ["obj_info"]))
     elements = _elements(lines)
     number = next((k for k, (name, *_) in enumerate(elements) if name == "vertex"), None)
     if number is None:
         raise ValueError("no element vertex in its header")
     _, count, properties = elements[number]
     names = ["_".join(words[3 if words[0] == "list" else 1 :]).lower() for words in properties]
+    if not {*names} & {*"xyz"}:  # forms of the axes, as in tables
+        names = [next((a for a in "xyz" if re.fullmatch(AXIS[0].format(a), name)), name) for name in names]
     if any(names.count(axis) != 1 for axis in "xyz"):
         raise ValueError(f"a vertex has {', '.join(names)[:80] or 'no properties'}; expected x, y and z once each")
     axes, is_last = [names.index(axis) for axis in "xyz"], number == len(elements) - 1

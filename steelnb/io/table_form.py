@@ -5,6 +5,7 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 from steelnb.core.checks import shown
+from steelnb.io.column_names import LENGTHS, UNIT_OF, check_stated, name_and_unit
 from steelnb.io.encodings import decoded, plain_nan
 from steelnb.io.text import NOT_A_NUMBER, Table, is_number, split_cells
 
@@ -20,12 +21,6 @@ TIME, TIME_WITH_COMMA = (
 LISTS = re.compile(rb"^#[ \t]*((?:\w+, *){3,})\w+\[\].*$", re.MULTILINE)
 """A first line of spreadsheets, exponents of Fortran, times of ISO 8601, also with commas where these do not separate,
 and a comment of COLMAP, whose lines end in lists of any length."""
-UNITS = {
-    "m": "m meter meters metre metres", "mm": "mm", "cm": "cm", "km": "km", "ft": "ft feet", "s": "s sec secs seconds",
-    "ms": "ms msec msecs millisec milliseconds", "us": "us µs usec usecs microsec microseconds",
-    "ns": "ns nsec nsecs nanosec nanosecs nanoseconds", "deg": "deg degree degrees °", "rad": "rad radian radians",
-}  # fmt: skip
-UNIT_OF = {word: unit for unit, words in UNITS.items() for word in words.split()}
 QUOTED = re.compile('"[^"]*"')
 DECIMAL = re.compile(r"[+-]?\d+(?:[.,]\d+)?(?:[eE][+-]?\d+)?")
 COMMA, POINT = (re.compile(rf"[+-]?\d+{sign}\d+(?:[eE][+-]?\d+)?") for sign in (",", r"\."))
@@ -85,19 +80,21 @@ def read_table(path: Path) -> Table:
     names, units = _names(heads, {len(cells), len(cells) - is_open}, content[0])
     said = [_words(comment, len(cells)) for comment in reversed(comments)]
     fitting = [words for words in said if len(words) == len(cells)]
-    with_x = [words for words in fitting if any(_plain(word)[0].endswith("x") for word in words)]
+    with_x = [words for words in fitting if any(name_and_unit(word)[0].endswith("x") for word in words)]
     in_comment = next(iter(with_x + fitting), [])
-    plain = [_plain(name) for name in (in_comment if names is None else names)]
+    plain = [name_and_unit(name) for name in (in_comment if names is None else names)]
     for (name, unit), more in zip(plain, units, strict=False):
         if unit and more and unit != more:
             raise ValueError(f"column {name} in {unit} by its name, and in {more} by the line below; expected one unit")
+    if LENGTHS.isdisjoint([*units, *(unit for _, unit in plain)]):
+        check_stated(text.lstrip("# ") for text in texts[: content[0]])
     first = content[0] if names is None else heads[-1][0] + 1  # a label below it may look like a comment
     skipped = sum(map(len, lines[:first]))
     return Table(
         data[skipped:] if skipped else data, len(cells), separator, tuple(name for name, _ in plain),
         tuple(unit or more for (_, unit), more in zip(plain, units or [""] * len(plain), strict=True)),
         names is not None, declared, first + 1, tuple(range(is_index, len(cells) - is_open)),
-        tuple(_plain(word)[0] for words in said for word in words), bool(heads) and names is None,
+        tuple(name_and_unit(word)[0] for words in said for word in words), bool(heads) and names is None,
     )  # fmt: skip
 
 
@@ -175,7 +172,7 @@ def _names(heads: list[tuple[int, str]], counts: set[int], begin: int) -> tuple[
     """The names of columns among the numbered lines before the first of numbers, or None, and the units of a line after
     them, or none. Raises ValueError for other lines after the names, and for names that are too few or too many."""
     split = [_cells_of(text) for _, text in heads]
-    plain = [[_plain(cell)[0] for cell in cells] for cells in split]
+    plain = [[name_and_unit(cell)[0] for cell in cells] for cells in split]
     are_names = [any(w.endswith("x") for w in words) or sum(w in KNOWN for w in words) > 1 for words in plain]
     fitting = [k for k, cells in enumerate(split) if len(cells) in counts]
     chosen = max([k for k in fitting if are_names[k]] or fitting, default=None)
@@ -223,24 +220,11 @@ def _words(comment: str, count: int) -> list[str]:
     texts = (HEADING.sub("", comment), comment)
     both = [split_cells(re.sub(r"\s+([\[(])", r"\1", text), _separator(text)) for text in texts]
     words = next((words for words in both if len(words) == count), both[0])
-    plain = [_plain(word)[0] for word in words]
+    plain = [name_and_unit(word)[0] for word in words]
     beside = any([word[-1:] for word in plain[k : k + 3]] == ["x", "y", "z"] for k in range(len(plain)))
     is_of_survey = len(plain) == count > 2 and KNOWN.issuperset(plain)  # northing, easting, height
     is_named = any(word.endswith("x") for word in plain) or is_of_survey
     return words if is_named and (beside or PROSE.isdisjoint(plain)) else []
-
-
-def _plain(name: str) -> tuple[str, str]:
-    """A column's name and unit: "p_RS_R_x [m]" → ("p_rs_r_x", "m"), "stamp_ns" → ("stamp", "ns"), "X" → ("x", "")."""
-    name, _, rest = name.strip("\"' \t").lower().replace("(", "[").partition("[")
-    bracket = rest.rstrip("]) ")
-    words = [word for word in re.split(r"[\W_]+", name) if word]
-    if bracket and not bracket.isdecimal():
-        return "_".join(words), UNIT_OF.get(bracket.strip(), bracket)
-    words += [bracket] if bracket else []
-    unit = UNIT_OF.get(words[-1], "") if words else ""
-    words = words[:-1] if unit else words
-    return "_".join(words[:-1] if len(words) > 1 and unit and words[-1] == "in" else words), unit
 
 
 def _separator(line: str) -> str:

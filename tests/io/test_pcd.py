@@ -74,6 +74,7 @@ def test_every_type_is_read_among_other_fields(kind: str, data: str, tmp_path: P
 @pytest.mark.parametrize(
     ("content", "message"),
     [
+        (b"# unit = mm\n" + header() + PACKED, "'unit = mm' in its header; expected metres"),
         (header() + PACKED[:-1], "71 bytes of points; expected 6 of 12 bytes each"),
         (header() + PACKED * 2, "144 bytes of points; expected 6 of 12 bytes each"),
         (header(WIDTH="99999999999999999", POINTS=None) + PACKED, "expected 99999999999999999 of 12 bytes each"),

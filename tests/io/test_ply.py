@@ -72,6 +72,9 @@ def test_missing_numbers_in_the_spelling_of_windows_are_nan(tmp_path: Path) -> N
         header(axes=VIEWS + AXES, after=FACE) + viewed(first=True) + b"\x03" + bytes(12),
         header("ascii", axes=AXES + VIEWS) + b"\n".join(line + b" 2 7 8" for line in LINES.splitlines()),
         header(axes=AXES + "property uchar gps time\n") + records_of("f4", "u1"),
+        header(axes=AXES.replace("float ", "float position_")) + records(),
+        header(axes=AXES.replace("float ", "float p") + "property uchar n_x\n") + records_of("f4", "u1"),
+        header(before="comment units: m\ncomment units: mm of the colours\n") + records(),
     ],
 )
 def test_vertices_are_found_among_other_elements(content: bytes, tmp_path: Path) -> None:
@@ -88,6 +91,11 @@ def test_vertices_are_found_among_other_elements(content: bytes, tmp_path: Path)
         (header() + np.column_stack([POINTS, POINTS[:, 0]]).astype("<f4").tobytes(), "more bytes than those of 5"),
         (header(count="2") + LINES, "more bytes than those of 2 vertices"),
         (header("ascii", count="4") + LINES, "5 vertices; its header says 4"),
+        (
+            header(before="comment Units: US survey feet\n") + records(),
+            "'Units: US survey feet' in its header; expected",
+        ),
+        (header(before="obj_info units feet\n") + records(), "'units feet' in its header; expected metres"),
         (header(count="0"), "expected 0 of 12 bytes"),
         (header(count="-5") + records(), "'element vertex -5' in its header; expected"),
         (header(before=FACE) + b"\x03" + bytes(12) + records()[:-1], "59 bytes of points; expected 5 of 12 bytes each"),

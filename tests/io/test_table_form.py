@@ -37,6 +37,8 @@ ROW = "1.5 2.5 3.5 0 0 0 1"
         # titles, units and prose, also those that begin like another kind of file
         f"My scan\n{NUMBERS}", f"Survey 2023\n{NUMBERS}", f"Survey of the tower, station 3\nx y z\n{NUMBERS}",
         f"; made by a scanner\n{NUMBERS}", f"x y z\nm m m\n{NUMBERS}", f"x y z\n[m] [m] [m]\n{NUMBERS}",
+        f"# range unit: mm\n{NUMBERS}", f"# units: m\n# units: s\n{NUMBERS}",
+        "# units: mm\nx [m],y [m],z [m]\n1,2,3\n4,5,6\n",
         f"# position is x\n{NUMBERS}", f"# columns x y z\n{NUMBERS}", f"# the fields are x, y, z\n{NUMBERS}",
         "# x right y down z forward\n1 2 3 10 20 30\n4 5 6 10 20 30\n",
         "# looks along x and y of the tower\n1 2 3 10 20 30\n4 5 6 10 20 30\n",
@@ -104,6 +106,9 @@ def test_missing_numbers_and_numbers_that_are_no_coordinates_are_no_returns(tmp_
         ("x y z\n1 2 3.5\n1 2 3,5\n", "line 3: '3,5'; expected a number"),
         ("3\n1 2 3\n4 5 6\n", "2 lines of numbers; expected 3"),
         ("x_mm,y_mm,z_mm\n1,2,3\n", "in mm; expected metres"),
+        (f"# Units: US survey feet\n{NUMBERS}", "'Units: US survey feet' in its header; expected metres"),
+        (f"Export of tower, units: mm\n{NUMBERS}", "'Export of tower, units: mm' in its header; expected metres"),
+        (f"# x y z, units are inches\n{NUMBERS}", "'x y z, units are inches' in its header; expected metres"),
         ("lat,lon,alt\n48,11,500\n", "columns lat, lon, alt; expected x, y and z"),
         ("x,x,y,z\n1,2,3,4\n", "columns x and x"),
         ("x y z\n1 2 3 4\n", "3 names of columns, but 4 fields in line 2"),
