@@ -1,6 +1,7 @@
 """Reader of point files: NPY, PLY, PCD, LAS, LAZ and text. What it does not understand is refused, not guessed.
 Writer of PLY."""
 
+import contextlib
 import os
 import re
 import warnings
@@ -21,17 +22,18 @@ from steelnb.core.geometry import shift_of, translated
 from steelnb.core.types import Array, IntArray
 from steelnb.hough.lines import spacing
 from steelnb.io.column_names import AXIS
-from steelnb.io.coordinates import check_degrees, check_steps, is_stray
+from steelnb.io.coordinates import check_degrees, check_order, check_steps, is_stray
 from steelnb.io.encodings import foreign_file
 from steelnb.io.las import read_las
 from steelnb.io.pcd import read_pcd
 from steelnb.io.ply import read_ply
 from steelnb.io.table_form import read_table
+from steelnb.io.text import Table
 
 EXTENT_MAX_M, SPACING_MAX_M = 500.0, 1.0
 """A cloud that exceeds both extent and spacing is probably in millimetres: no scanner is that sparse."""
-LINES_COUNTED, LINES_LOOKED_AT = 10, 100
-"""Minimum number of lines by which a first column in equal steps is recognised."""
+LINES_LOOKED_AT = 100
+"""Number of lines by which decimal commas are recognised."""
 COORDINATE_MIN_M = 1e-30
 """Smaller numbers than this are bytes in another order."""
 CHANNELS_MAX = 16
@@ -52,7 +54,8 @@ class Cloud:
     ``points (N, 3)`` in metres are relative to ``origin (3,)``: add it to results derived from them. The origin is zero
     unless the coordinates are large (UTM), and a multiple of 100 m. ``invalid`` counts the dropped points with a
     coordinate that is NaN, infinite or beyond `COORDINATE_MAX_M`, ``duplicates`` the dropped exact duplicates, and
-    ``strays`` the dropped points kilometres from all others (`STRAY_M`).
+    ``strays`` the dropped points kilometres from all others (`STRAY_M`), or with a coordinate that stands for none
+    (`NO_RETURN`).
     """
 
     points: Array
@@ -69,15 +72,15 @@ class Cloud:
 def read_cloud(path: Path | str) -> Cloud:
     """Read the points of a NPY, PLY, PCD, LAS, LAZ or text file (XYZ, TXT, CSV, ASC, PTS), chosen by the suffix.
 
-    Raises `InputError` for a missing, truncated or invalid file, fewer than two distinct points, and a cloud that seems
-    to be in millimetres.
+    Raises `InputError` for a missing, truncated or invalid file, fewer than two distinct points, several sites, and a
+    cloud that seems to be in millimetres.
     """
     points = read_points(path).reshape(-1, 3)
     finite = points[np.isfinite(points).all(axis=1)]
     distinct = finite[~pd.DataFrame(finite).duplicated().to_numpy()]
     if len(distinct) < 2:
         raise InputError(f"{path}: {len(distinct)} distinct finite points of {len(points)}; expected at least two")
-    kept = distinct[~is_stray(distinct)]
+    kept = distinct[~is_stray(path, distinct)]
     extent_m = float(np.ptp(kept, axis=0).max())
     if extent_m > EXTENT_MAX_M:
         spacing_m = spacing(kept)
@@ -150,17 +153,8 @@ def _read_npy(path: Path) -> Any:
     if stored.ndim not in (2, 3) or not 3 <= stored.shape[-1] <= CHANNELS_MAX:
         raise ValueError(f"an array of shape {stored.shape}; expected (N, 3) or (H, W, 3)")
     if stored.ndim == 2 and stored.shape[1] > 3:
-        _check_first_column(stored[:, 0])
+        check_order(stored[:, 0].astype(np.float64), lambda: stored[:, :6].astype(np.float64))
     return stored[..., :3]
-
-
-def _check_first_column(values: Any) -> None:
-    """Raise ValueError if the first of more than three columns rises in equal steps: it is an index or a time."""
-    step = np.diff(np.asarray(values, dtype=np.float64))
-    if len(values) >= LINES_COUNTED and step[0] > 0 and np.abs(step - step[0]).max() <= 1e-6 * step[0]:
-        raise ValueError(
-            f"its first column counts the lines in steps of {step[0]:g}; expected x, y and z first, or names of columns"
-        )
 
 
 def _read_text(path: Path) -> Any:
@@ -171,7 +165,7 @@ def _read_text(path: Path) -> Any:
         table.find(axis, *(form.format(axis) for form in AXIS), *words, *(form.format(axis) for form in RARE_AXIS))
         for axis, words in OTHER_AXES.items()
     ]
-    is_unnamed = None in number
+    is_unnamed, said = None in number, None
     if is_unnamed:
         if table.has_header or any(each is not None for each in number):
             raise ValueError(f"columns {', '.join(table.names)[:80]}; expected x, y and z")
@@ -182,16 +176,24 @@ def _read_text(path: Path) -> Any:
             if len(lines) != 3:
                 raise ValueError(f"{len(lines)} lines of {len(table.own)} numbers; expected x, y and z in each line")
             return lines.T
-        begin = next((k for k in range(len(table.said)) if table.said[k : k + 3] == ("x", "y", "z")), 0)
-        number = list(table.own[begin if begin + 3 <= len(table.own) else 0 :][:3])
+        said = next((k for k in range(len(table.said)) if table.said[k : k + 3] == ("x", "y", "z")), None)
+        number = list(table.own[said if said and said + 3 <= len(table.own) else 0 :][:3])
     elif other := {table.units[k] for k in number if k is not None} - {"", "m"}:
         raise ValueError(f"x, y and z in {', '.join(sorted(other))}; expected metres")
     points = table.values([k for k in number if k is not None])
     if is_unnamed and len(table.own) > 3:
-        _check_first_column(points[:, 0])
+        check_order(points[:, 0], lambda: points if said is not None else _first_numbers(table))
     if is_unnamed and table.separator == "," and len(table.own) >= 6 and len(table.own) % 2 == 0:
         _check_commas(table.data.splitlines()[:LINES_LOOKED_AT])
     return points
+
+
+def _first_numbers(table: Table) -> Array:
+    """The first columns of a table without names, ``(N, 3 to 6)``, up to one with labels."""
+    for count in range(min(len(table.own), 6), 3, -1):
+        with contextlib.suppress(ValueError):
+            return table.values(table.own[:count])
+    return table.values(table.own[:3])
 
 
 def _check_commas(lines: list[bytes]) -> None:

@@ -1,29 +1,54 @@
-"""What the coordinates of a cloud say of their unit and precision, and which points are none of it."""
+"""What the coordinates of a cloud say of their order, unit and precision, and which points are none of it."""
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from steelnb.core.arrays import COORDINATE_MAX_M
 from steelnb.core.errors import InputError
 from steelnb.core.types import Array
 
 STRAY_M, STRAY_DISTANCES, STRAY_SHARE = 1e4, 1000.0, 0.01
 """Points farther than both from the median point, in metres and in median distances, are strays if they are so few:
 such as zeros among the coordinates of a survey."""
+NO_RETURN, SAME_M = (0, 999, 9999, 99999, 32767, 32768), 1e-6
+"""Numbers, of either sign, that programs write where a coordinate is missing. Zeros are it in a survey only."""
+FARTHEST_M = 4e4
+"""Points farther than this from the mean of all cannot be put into the voxels of a map."""
 STEP_MAX_M, FAR_FROM_ZERO_M, ROUNDED_POINTS = 0.02, 1e4, 100
 """Largest step between coordinates; those below the second are left as they are, as are few points."""
 DEGREE_EXTENTS, DEGREES_MIN, DEGREES_FROM_ZERO, DEGREES_WIDE = 1e3, 1e-6, 5000.0, 0.005
 """Coordinates in degrees extend over so many times less than heights in metres, but over more than rounding does, and
 are so many times their extent away from zero, as a thin tube is only if it stands far from the origin. No tube is as
 wide as the last and so many times taller; a site of half a kilometre is, in degrees."""
+LINES_COUNTED, TIME_MAX = 10, 1e19
+"""Minimum number of lines that tell what a first column is, and what no time exceeds, in nanoseconds."""
 
 
-def is_stray(points: Array) -> NDArray[np.bool_]:
-    """Mask ``(N,)`` of the strays (`STRAY_M`) among points ``(N, 3)``."""
-    distance_m = np.linalg.norm(points - np.median(points, axis=0), axis=1)
-    is_far = distance_m > max(STRAY_M, STRAY_DISTANCES * float(np.median(distance_m)))
-    return is_far & (np.count_nonzero(is_far) <= STRAY_SHARE * len(points))
+def is_stray(path: Path | str, points: Array) -> NDArray[np.bool_]:
+    """Mask ``(N,)`` of the strays (`STRAY_M`) among points ``(N, 3)``, and of those without a return (`NO_RETURN`).
+
+    Where there was no return, the coordinate is the least or largest, farther from all others than these from each
+    other. Raises `InputError` for too many points too far from the others.
+    """
+    is_missing = np.zeros(len(points), dtype=bool)
+    for values in points.T:
+        for value in (values.min(), values.max()):
+            here, least_m = np.abs(values - value) < SAME_M, 0.0 if round(value) else STRAY_M
+            if abs(value - round(value)) < SAME_M and abs(round(value)) in NO_RETURN and here.mean() < 0.5:
+                others = values[~here]
+                is_missing |= here & (np.abs(others - value).min() > max(np.ptp(others), least_m))
+    kept = points[~is_missing]
+    distance_m = np.linalg.norm(points - np.median(kept, axis=0), axis=1)
+    is_far = distance_m > max(STRAY_M, STRAY_DISTANCES * float(np.median(distance_m[~is_missing])))
+    count = np.count_nonzero(is_far & ~is_missing)
+    if count > STRAY_SHARE * len(kept) and np.abs(kept - kept.mean(axis=0)).max() > FARTHEST_M:
+        raise InputError(
+            f"{path}: {count} of {len(points)} points are more than {STRAY_M / 1e3:g} km from most; expected one site"
+        )
+    return is_missing | (is_far & (count <= STRAY_SHARE * len(kept)))
 
 
 def check_steps(path: Path | str, points: Array) -> None:
@@ -40,6 +65,35 @@ def check_steps(path: Path | str, points: Array) -> None:
                 f"{path}: {name} is around {values.mean():.0f} in steps of {step:.3g} m, as of single precision; "
                 "expected doubles, or coordinates near zero"
             )
+
+
+def check_order(first: Array, more: Callable[[], Array]) -> None:
+    """Raise ValueError if x, y and z are not the first of columns without names.
+
+    ``first (N,)``, the first column, rises in equal steps, or holds times; or it and up to two more hold only whole
+    numbers, but most numbers of the three after them are none, and these are no normals and no colours. A first column
+    of zeros is the x of a scan in one plane. ``more`` gives the first columns ``(N, up to 6)``, and is asked late.
+    """
+    expected = "expected x, y and z first, or names of columns"
+    step = np.diff(first)
+    if len(first) < LINES_COUNTED:
+        return
+    if step[0] > 0 and np.abs(step - step[0]).max() <= 1e-6 * step[0]:
+        raise ValueError(f"its first column counts the lines in steps of {step[0]:g}; {expected}")
+    finite = first[np.isfinite(first)]
+    if len(finite) and COORDINATE_MAX_M < (typical := np.median(finite)) < TIME_MAX:
+        raise ValueError(f"its first column is around {typical:.3g}, as of times; {expected}")
+    if not finite.any() or (finite != np.round(finite)).any():
+        return
+    columns = (columns := more())[np.isfinite(columns).all(axis=1)]
+    has_decimals = columns != np.round(columns)
+    leading = int(np.argmax(has_decimals.any(axis=0)))
+    axes, behind = has_decimals[:, leading : leading + 3], columns[:, 3:]
+    if not 1 <= leading <= 3 or axes.shape[1] < 3 or (axes.mean(axis=0) <= 0.5).any():
+        return
+    are_colours = leading < 3 or (columns[:, :3].min() >= 0 and columns[:, :3].max() < 256)
+    if are_colours and not (behind.shape[1] == 3 and np.abs(behind).max() <= 1):
+        raise ValueError(f"its first column holds whole numbers, as of rows, intensities or classes; {expected}")
 
 
 def check_degrees(path: Path | str, points: Array) -> None:

@@ -138,7 +138,8 @@ def _name(surface: Surface) -> str:
 
 
 def _warnings(found: CloudBars, explained: float, cloud: Cloud, min_votes: int) -> tuple[str, ...]:
-    far = f"points more than {STRAY_M / 1e3:g} km from the others, which are left out: {cloud.strays}"
+    far = f"points more than {STRAY_M / 1e3:g} km from the others, or with a coordinate that stands for none, such as"
+    far += f" -9999, which are left out: {cloud.strays}"
     lines = [far] if cloud.strays else []
     if not len(found.bars):
         left = len(voxel_grid(cloud.points, found.voxel_m))

@@ -151,6 +151,30 @@ def test_arrays_with_names_are_read_and_other_types_refused(tmp_path: Path) -> N
             read_points(tmp_path / "a.npy")
 
 
+NORMALS = POINTS / np.linalg.norm(POINTS, axis=1, keepdims=True)
+ROW, COLUMN = np.divmod(np.arange(400), 7)
+
+
+@pytest.mark.parametrize("name", ["a.npy", "a.xyz", "a.csv"])
+@pytest.mark.parametrize(
+    ("columns", "what"),
+    [
+        ((ROW, COLUMN, POINTS, ROW % 3), "holds whole numbers"), ((COLUMN, POINTS), "holds whole numbers"),
+        ((ROW, COLUMN, 7 * COLUMN, POINTS), "holds whole numbers"), ((1.7e9 + 0.1 * ROW, POINTS), "is around 1.7e.09"),
+        ((np.sort(POINTS[:, 0]), POINTS), ""), ((0 * ROW, POINTS), ""), ((ROW, COLUMN, 9 - ROW, NORMALS), ""),
+        ((ROW, COLUMN, 3 + POINTS[:, 2], NORMALS), ""), ((ROW, COLUMN, ROW - COLUMN, POINTS), ""),
+        ((ROW, POINTS[:, :2], COLUMN), ""), ((POINTS, ROW, ROW, ROW), ""),
+    ],
+)  # fmt: skip
+def test_columns_before_x_y_and_z_are_not_taken_for_them(name: str, columns: tuple, what: str, tmp_path: Path) -> None:
+    path = save(tmp_path / name, np.column_stack(columns))
+    if not what:
+        assert len(read_points(path)) == 400
+        return
+    with pytest.raises(InputError, match=rf"{name}: .*its first column {what}.*; expected x, y and z first, or names"):
+        read_points(path)
+
+
 def test_a_few_points_kilometres_away_are_left_out_and_counted(tmp_path: Path) -> None:
     survey = np.array([299_100.0, 5_801_400.0, 120.0])
     for name, points, strays in (
@@ -163,6 +187,28 @@ def test_a_few_points_kilometres_away_are_left_out_and_counted(tmp_path: Path) -
         assert cloud.strays == strays
         assert len(cloud) + cloud.duplicates + strays == len(points)
         assert np.ptp(cloud.points, axis=0).max() < 2e3
+
+
+@pytest.mark.parametrize(
+    ("value", "survey", "left_out"),
+    [
+        (-9999, 0, True), (-999, 0, True), (32767, 120, True), (0, 299_100, True), (0, 30, False), (-7777, 0, False),
+        (999, 1000, False),
+    ],
+)  # fmt: skip
+def test_a_coordinate_that_stands_for_no_return_is_left_out(
+    value: float, survey: float, left_out: bool, tmp_path: Path
+) -> None:
+    missing = np.column_stack([POINTS[:40, :2] + survey, np.full(40, value)])
+    np.save(tmp_path / "a.npy", np.concatenate([1.5 * POINTS + survey, missing]))
+    cloud = read_cloud(tmp_path / "a.npy")
+    assert (len(cloud), cloud.strays) == ((400, 40) if left_out else (440, 0))
+
+
+def test_too_many_points_far_from_all_others_are_named(tmp_path: Path) -> None:
+    np.save(tmp_path / "a.npy", np.concatenate([POINTS, POINTS[:40] + 50_000]))
+    with pytest.raises(InputError, match=r"a.npy: 40 of 440 points are more than 10 km from most; expected one site"):
+        read_cloud(tmp_path / "a.npy")
 
 
 def test_a_folder_is_no_file_of_points(tmp_path: Path) -> None:
