@@ -40,6 +40,7 @@ def is_stray(path: Path | str, points: Array) -> NDArray[np.bool_]:
             if abs(value - round(value)) < SAME_M and abs(round(value)) in NO_RETURN and here.mean() < 0.5:
                 others = values[~here]
                 is_missing |= here & (np.abs(others - value).min() > max(np.ptp(others), least_m))
+    is_missing &= is_missing.mean() < 0.5
     kept = points[~is_missing]
     distance_m = np.linalg.norm(points - np.median(kept, axis=0), axis=1)
     is_far = distance_m > max(STRAY_M, STRAY_DISTANCES * float(np.median(distance_m[~is_missing])))

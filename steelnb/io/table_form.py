@@ -18,12 +18,18 @@ TIME, TIME_WITH_COMMA = (
     re.compile(rb"\d{4}-\d\d-\d\d[Tt ]\d\d:\d\d:\d\d(?:%s)?(?:[Zz]| UTC|[+-]\d\d(?::?\d\d)?)?(?![\d:])" % fraction)
     for fraction in (rb'\.\d+|,\d+(?=Z?")', rb"[.,]\d+")
 )
+BARS = re.compile(
+    rb"^(?:[^\s#|,;]+[ \t]*\|)?%s(?:\|%s){2}(?:\|(?>%s(?=[|\r\n]|\Z)|[^|,;\n]*))*\r?$"
+    % ((rb"[ \t]*[+-]?\d+(?:[.,]\d*)?(?:[eE][+-]?\d+)?[ \t]*",) * 3),
+    re.MULTILINE,
+)
 LISTS = re.compile(rb"^#[ \t]*((?:\w+, *){3,})\w+\[\].*$", re.MULTILINE)
 """A first line of spreadsheets, exponents of Fortran, times of ISO 8601, also with commas where these do not separate,
-and a comment of COLMAP, whose lines end in lists of any length."""
+numbers between bars, and a comment of COLMAP, whose lines end in lists of any length."""
 QUOTED = re.compile('"[^"]*"')
 DECIMAL = re.compile(r"[+-]?\d+(?:[.,]\d+)?(?:[eE][+-]?\d+)?")
 COMMA, POINT = (re.compile(rf"[+-]?\d+{sign}\d+(?:[eE][+-]?\d+)?") for sign in (",", r"\."))
+BRACKETED = re.compile(r"\s+([\[(])")
 THOUSANDS, POINT_THOUSANDS = (re.compile(rf"[+-]?[1-9]\d{{0,2}}{sign}\d{{3}}") for sign in (",", r"\."))
 PROSE = {"and", "down", "forward", "is", "left", "of", "right", "the", "to", "up"}
 """Words of sentences on axes. Columns with such names have x, y and z beside each other."""
@@ -63,7 +69,9 @@ def read_table(path: Path) -> Table:
         raise ValueError("a grid of heights; expected x, y and z in each line")
     heads, content, bodies = list(zip(content, bodies, strict=True))[:begin], content[begin:], bodies[begin:]
     if not bodies:
-        raise ValueError(f"{shown(heads[0][1])} and no line of numbers after it")
+        unlike = f"; expected numbers without signs of thousands, unlike {shown(heads[-1][1])}"
+        unlike = unlike if re.search(r"\d[,.]\d{3}[,.]\d", heads[-1][1]) else ""
+        raise ValueError(f"{shown(heads[0][1])} and no line of numbers after it{unlike}")
     heading = _cells_of(bodies[0])
     is_index = len(bodies) > 1 and heading[0] == "" and _counts(heading[1:])  # as pandas writes it
     if not heads and (is_index or (_counts(heading) and "," in bodies[0] and "." in "".join(bodies[1:2]))):
@@ -105,6 +113,8 @@ def _plain_numbers(data: bytes) -> bytes:
     if b"/" in data or b"%" in data:
         data = COMMENT.sub(b"#", data)
     head = data[:HEAD_BYTES]
+    if BARS.search(head) and b";" not in head:
+        data, head = data.replace(b"|", b";"), head.replace(b"|", b";")
     if re.search(rb"\d\.\d*[dD][+-]?\d", head):
         data = FORTRAN.sub(b"e", data)
     lines = head.splitlines()[: -1 if len(data) > len(head) else None]
@@ -171,7 +181,8 @@ def _numbers_in(cells: list[str]) -> int:
 def _names(heads: list[tuple[int, str]], counts: set[int], begin: int) -> tuple[list[str] | None, list[str]]:
     """The names of columns among the numbered lines before the first of numbers, or None, and the units of a line after
     them, or none. Raises ValueError for other lines after the names, and for names that are too few or too many."""
-    split = [_cells_of(text) for _, text in heads]
+    both = [[_cells_of(each) for each in (text, BRACKETED.sub(r"\1", text))] for _, text in heads]
+    split = [next((cells for cells in each if len(cells) in counts), each[0]) for each in both]
     plain = [[name_and_unit(cell)[0] for cell in cells] for cells in split]
     are_names = [any(w.endswith("x") for w in words) or sum(w in KNOWN for w in words) > 1 for words in plain]
     fitting = [k for k, cells in enumerate(split) if len(cells) in counts]
@@ -218,7 +229,7 @@ def _words(comment: str, count: int) -> list[str]:
     their names. ``count``: of columns, which tells whether "name" or "field" is one of them."""
     comment = comment.rpartition(":")[2].replace("|", " ").strip()
     texts = (HEADING.sub("", comment), comment)
-    both = [split_cells(re.sub(r"\s+([\[(])", r"\1", text), _separator(text)) for text in texts]
+    both = [split_cells(BRACKETED.sub(r"\1", text), _separator(text)) for text in texts]
     words = next((words for words in both if len(words) == count), both[0])
     plain = [name_and_unit(word)[0] for word in words]
     beside = any([word[-1:] for word in plain[k : k + 3]] == ["x", "y", "z"] for k in range(len(plain)))

@@ -22,6 +22,8 @@ ROW = "1.5 2.5 3.5 0 0 0 1"
         " 1  2 3 \r\n4 5 6\r\n\r\n \n", "1 2 3\r4 5 6\r", "\ufeff1 2 3\n4 5 6\n", "2\n1 2 3 255\n4 5 6 255\n",
         "1,2,3,\n4,5,6,\n", "x,y,z,\n1,2,3,\n4,5,6,\n", "1.0D+00 2.0D0 3.0d0\n4.0D0 5.0D0 0.6D+01\n",
         NUMBERS.encode("utf-16"), NUMBERS.encode("utf-16-le"), "Z;X;Y\n3;1,0;2\n6;4,0;5\n".encode("utf-16"),
+        "x|y|z\n1|2|3\n4|5|6\n", "n|x|y|z|d\nP1 | 1,0 | 2,0 | 3,0 | 7 beams\nP2 | 4 | 5 | 6,0 | b\n",
+        "1 2 3 7|8|9|9\n4 5 6 7|8|9|9\n", "x,y,z,list\n1,2,3,1|2|3|4\n4,5,6,7|8|9|9\n",
         # decimal commas
         "Z;X;Y\n3;1,0;2\n6;4,0;5\n", "1,0 2,0 3,0\n4 5,0 6\n", '"1,0","2,0","3,0"\n"4,0","5","6,0"\n',
         "1 2 3\n4,0 5,0 6,0\n", "1,0 2.0 3 a\n4 5 6 b\n",
@@ -37,6 +39,7 @@ ROW = "1.5 2.5 3.5 0 0 0 1"
         # titles, units and prose, also those that begin like another kind of file
         f"My scan\n{NUMBERS}", f"Survey 2023\n{NUMBERS}", f"Survey of the tower, station 3\nx y z\n{NUMBERS}",
         f"; made by a scanner\n{NUMBERS}", f"x y z\nm m m\n{NUMBERS}", f"x y z\n[m] [m] [m]\n{NUMBERS}",
+        f"X (m) Y (m) Z (m)\n{NUMBERS}", f"x [m] y [m] z [m]\nm m m\n{NUMBERS}",
         f"# range unit: mm\n{NUMBERS}", f"# units: m\n# units: s\n{NUMBERS}",
         "# units: mm\nx [m],y [m],z [m]\n1,2,3\n4,5,6\n",
         f"# position is x\n{NUMBERS}", f"# columns x y z\n{NUMBERS}", f"# the fields are x, y, z\n{NUMBERS}",
@@ -125,6 +128,7 @@ def test_missing_numbers_and_numbers_that_are_no_coordinates_are_no_returns(tmp_
         ("1_0 2 3\n4 5 6\n", "expected numbers|expected a number"),
         ("1 2 3\n4 5 6\n\0\0\0", "byte 12 is zero; expected plain text"),
         (gzip.compress(NUMBERS.encode(), mtime=0), "compressed by gzip; expected plain text"),
+        ('x,y,z\n"1,234.50","2,345.60","3,456.70"\n', 'no line of .* without signs of thousands, unlike \'"1,234.50"'),
         ("a b c\n", "no line of numbers"),
         ("", "no line of numbers"),
         ("1 2\n", "2 numbers in line 1"),
