@@ -32,6 +32,8 @@ from steelnb.io.text import Table
 
 EXTENT_MAX_M, SPACING_MAX_M = 500.0, 1.0
 """A cloud that exceeds both extent and spacing is probably in millimetres: no scanner is that sparse."""
+CENTIMETRES_MAX = 5000.0
+"""A structure of this extent in centimetres is 50 m large."""
 LINES_LOOKED_AT = 100
 """Number of lines by which decimal commas are recognised."""
 COORDINATE_MIN_M = 1e-30
@@ -85,8 +87,9 @@ def read_cloud(path: Path | str) -> Cloud:
     if extent_m > EXTENT_MAX_M:
         spacing_m = spacing(kept)
         if spacing_m > SPACING_MAX_M:
+            unit = "millimetres" if extent_m > CENTIMETRES_MAX else "centimetres or millimetres"
             raise InputError(
-                f"{path}: a spacing of {spacing_m:.3g} over {extent_m:.4g} looks like millimetres; expected metres"
+                f"{path}: a spacing of {spacing_m:.3g} over {extent_m:.4g} looks like {unit}; expected metres"
             )
     check_steps(path, kept)
     check_degrees(path, kept)

@@ -45,6 +45,16 @@ def foreign_file(path: Path) -> str:
         return foreign(file.read(32))
 
 
+def rewritten(data: bytes | memoryview) -> str:
+    """Words on binary data in which a carriage return stands before each line feed, else ""."""
+    ends = bytes(data)
+    is_so = ends.count(b"\n") == ends.count(b"\r\n") > 1
+    return (
+        ", and a carriage return before each line feed, as after a transfer as text (FTP); expected a binary one"
+        * is_so
+    )
+
+
 def plain_nan(data: bytes) -> bytes:
     """The same text, with ``nan`` for what programs for Windows write as ``1.#QNAN`` or ``1.#INF``."""
     return WINDOWS_NAN.sub(b"nan", data) if b"#" in data else data

@@ -8,7 +8,7 @@ import numpy as np
 
 from steelnb.core.types import Array
 from steelnb.io.column_names import check_stated
-from steelnb.io.encodings import plain_nan
+from steelnb.io.encodings import plain_nan, rewritten
 from steelnb.io.lzf import lzf_unpacked
 from steelnb.io.records import HEADER_MAX, is_whole, xyz_of
 from steelnb.io.text import Table
@@ -63,9 +63,11 @@ def read_pcd(path: Path) -> Array:
     elif header.encoding == "binary":
         count = header.chosen(len(data) // max(stride, 1))
         points = xyz_of(data, count, stride, fields)
-        if len(data) - count * stride >= stride and any(data[count * stride :]):
+        more = len(data) - count * stride
+        why = rewritten(data) if more else ""
+        if (more >= stride or why) and any(data[count * stride :]):
             raise ValueError(
-                f"{len(data)} bytes of points; expected {count} of {stride} bytes each, as its header says"
+                f"{len(data)} bytes of points; expected {count} of {stride} bytes each, as its header says{why}"
             )
     elif header.encoding == "binary_compressed":
         if len(data) < 8:

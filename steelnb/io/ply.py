@@ -8,7 +8,7 @@ import numpy as np
 
 from steelnb.core.types import Array
 from steelnb.io.column_names import AXIS, check_stated
-from steelnb.io.encodings import plain_nan
+from steelnb.io.encodings import plain_nan, rewritten
 from steelnb.io.records import HEADER_MAX, is_whole, walked, xyz_of
 from steelnb.io.text import Table
 
@@ -97,7 +97,8 @@ def _from_bytes(
             kind = np.dtype(f"{order}{types[k]}")
             found[:, axis] = bytes_of[at[:, k, None] + np.arange(kind.itemsize)].view(kind)[:, 0]
     if is_last and bytes(data[end:][: sum(sizes)]).strip():
-        raise ValueError(f"more bytes than those of {count} vertices of {sum(sizes)} bytes, as its header says")
+        why = rewritten(data)
+        raise ValueError(f"more bytes than those of {count} vertices of {sum(sizes)} bytes, as its header says{why}")
     return found
 
 

@@ -91,6 +91,9 @@ def test_a_cloud_in_millimetres_is_refused_and_a_large_one_in_metres_is_read(tmp
     np.save(tmp_path / "tower.npy", 1000 * POINTS)
     with pytest.raises(InputError, match=r"tower.npy: a spacing of .* over .* looks like millimetres; expected"):
         read_cloud(tmp_path / "tower.npy")
+    np.save(tmp_path / "tower.npy", 300 * POINTS)
+    with pytest.raises(InputError, match="looks like centimetres or millimetres; expected metres"):
+        read_cloud(tmp_path / "tower.npy")
     line = np.random.default_rng(1).uniform(0, [2000, 1, 1], (20_000, 3))  # of power, with points 0.2 m apart
     np.save(tmp_path / "line.npy", line)
     assert len(read_cloud(tmp_path / "line.npy")) == 20_000

@@ -76,6 +76,10 @@ def test_every_type_is_read_among_other_fields(kind: str, data: str, tmp_path: P
     [
         (b"# unit = mm\n" + header() + PACKED, "'unit = mm' in its header; expected metres"),
         (header() + PACKED[:-1], "71 bytes of points; expected 6 of 12 bytes each"),
+        (
+            header() + PACKED.replace(b"\0\0", b"\r\n\0"),
+            "as its header says, and a carriage return before each line feed",
+        ),
         (header() + PACKED * 2, "144 bytes of points; expected 6 of 12 bytes each"),
         (header(WIDTH="99999999999999999", POINTS=None) + PACKED, "expected 99999999999999999 of 12 bytes each"),
         (header(COUNT="1 1 99999999999") + PACKED, "F of 4 bytes × 99999999999; expected"),

@@ -87,6 +87,7 @@ def test_vertices_are_found_among_other_elements(content: bytes, tmp_path: Path)
     [
         (header() + records()[:-1], "59 bytes of points; expected 5 of 12 bytes each"),
         (header(count="99999999999999") + records(), "expected 99999999999999 of 12 bytes"),
+        (header() + records().replace(b"\0\0", b"\r\n\0"), "header says, and a carriage return before each line feed"),
         (header(count="4") + records(), "more bytes than those of 4 vertices of 12 bytes"),
         (header() + np.column_stack([POINTS, POINTS[:, 0]]).astype("<f4").tobytes(), "more bytes than those of 5"),
         (header(count="2") + LINES, "more bytes than those of 2 vertices"),
