@@ -22,6 +22,28 @@ STATED = re.compile(
     r"(?:\s+(?:of\s+(?:length|measure\w*)|are|is|in)\b)*\W*(?:(?:us|survey|international)[\s-]+)*([a-zµ]+)"
 )
 """A unit in a sentence, where no word before it tells that it is one of ranges or times: "Units: US survey feet"."""
+STAMPS = (
+    "(?:.*_)?header_stamp", "(?:time_?)?stamp", "time|t", "(?:unix|epoch)_(?:time|stamp|timestamp)",
+    "(?:.*_)?(?:time|stamp|timestamp)|",
+)  # fmt: skip
+"""Patterns of the names of stamps, the preferred first; "" stands for names that are units, such as sec and nsec."""
+TUM = ("stamp", "x", "y", "z", "qx", "qy", "qz", "qw")
+QUATERNION = TUM[4:]
+ROLES = {
+    axis: (axis, f"[pt]_?{axis}|pos_{axis}|p_.*_{axis}", f"(?:.*_)?(?:position|translation)_{axis}") for axis in "xyz"
+} | {
+    role: (f"q_?{role[1]}|q_.*_{role[1]}", f"(?:.*_)?(?:quat|quaternion|orientation|rotation)_{role[1]}")
+    for role in QUATERNION
+}
+"""Patterns of the names of columns for each number of a pose, the preferred first."""
+ROTATIONS = tuple(f"r{row}{column}" for row in "123" for column in "123")
+SYNONYMS = {
+    "q0 q1 q2 q3": "qw qx qy qz", "q_0 q_1 q_2 q_3": "qw qx qy qz", "qi qj qk qr": "qx qy qz qw",
+    "rot_x rot_y rot_z rot_w": "qx qy qz qw", "rotx roty rotz rotw": "qx qy qz qw", "ox oy oz ow": "qx qy qz qw",
+    "posx posy posz": "x y z", "position_0 position_1 position_2": "x y z", "t03 t13 t23": "x y z",
+    "t00 t01 t02 t10 t11 t12 t20 t21 t22": " ".join(ROTATIONS),
+}  # fmt: skip
+"""Names of a rotation matrix, row by row, and names that stand for those of a pose if all of them are there."""
 
 
 def name_and_unit(name: str) -> tuple[str, str]:
@@ -39,6 +61,16 @@ def name_and_unit(name: str) -> tuple[str, str]:
     unit = UNIT_OF.get(words[-1], "") if words else ""
     words = words[:-1] if unit else words
     return "_".join(words[:-1] if len(words) > 1 and unit and words[-1] == "in" else words), unit
+
+
+def known_names(given: Iterable[str]) -> tuple[str, ...]:
+    """The names of columns, with `SYNONYMS` replaced where none of their like is there."""
+    names = tuple(given)
+    known: dict[str, str] = {}
+    for words, others in SYNONYMS.items():
+        if {*words.split()} <= {*names} and {*others.split()}.isdisjoint(names):
+            known |= dict(zip(words.split(), others.split(), strict=True))
+    return tuple(known.get(name, name) for name in names)
 
 
 def check_stated(lines: Iterable[str]) -> None:

@@ -5,7 +5,7 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 from steelnb.core.checks import shown
-from steelnb.io.column_names import LENGTHS, UNIT_OF, check_stated, name_and_unit
+from steelnb.io.column_names import LENGTHS, UNIT_OF, check_stated, known_names, name_and_unit
 from steelnb.io.encodings import decoded, plain_nan
 from steelnb.io.text import NOT_A_NUMBER, Table, is_number, split_cells
 
@@ -99,7 +99,7 @@ def read_table(path: Path) -> Table:
     first = content[0] if names is None else heads[-1][0] + 1  # a label below it may look like a comment
     skipped = sum(map(len, lines[:first]))
     return Table(
-        data[skipped:] if skipped else data, len(cells), separator, tuple(name for name, _ in plain),
+        data[skipped:] if skipped else data, len(cells), separator, known_names(name for name, _ in plain),
         tuple(unit or more for (_, unit), more in zip(plain, units or [""] * len(plain), strict=True)),
         names is not None, declared, first + 1, tuple(range(is_index, len(cells) - is_open)),
         tuple(name_and_unit(word)[0] for words in said for word in words), bool(heads) and names is None,
@@ -122,7 +122,9 @@ def _plain_numbers(data: bytes) -> bytes:
         line = timed[-1]  # those before may be titles
         others = TIME_WITH_COMMA.sub(b"0", line).decode("utf-8", "replace")
         form = TIME if _separator(others) == "," or not re.search(r"\S[\s;]+\S", others) else TIME_WITH_COMMA
-        separated = any(sign in others for sign in ",;\t")  # else date and time are columns
+        of_nine = [each for each in lines if len(each.strip(b"#/% \t").split()) == 9]  # or of eight, the first a time
+        is_pose = line in of_nine and TIME.match(line.lstrip()) and all(map(TIME.search, of_nine))
+        separated = is_pose or any(sign in others for sign in ",;\t")  # else date and time are columns
         data = form.sub(lambda each: _unix_s(each[0]) if separated or each[0][10:11] != b" " else each[0], data)
     lists = LISTS.search(head)
     if lists and not re.match(rb"[^\n]*[,;]", head[lists.end() :].lstrip()):

@@ -14,7 +14,9 @@ from steelnb.core.checks import SAME_S
 from steelnb.core.errors import InputError
 from steelnb.core.files import new_file, reading
 from steelnb.core.types import Array, Trajectory
+from steelnb.io.column_names import QUATERNION, ROLES, ROTATIONS, STAMPS, TUM
 from steelnb.io.pose_rows import SPEED_MAX, are_far, are_valid
+from steelnb.io.rotations import w_is_first, xyzw_of
 from steelnb.io.table_form import read_table
 from steelnb.io.text import Table
 
@@ -25,21 +27,10 @@ SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 UNIX_S, STEP_MAX_S = (9e8, 4.3e9), 2.0
 """Unix times of 1998 to 2106; a longer median interval of poses (nothing is interpolated across it) shows that other
 stamps are not seconds, as a median speed above `SPEED_MAX` shows that positions or stamps have another unit."""
-ROTATION_TOLERANCE, QUATERNION_TOLERANCE = 1e-2, 0.05
-"""Maximum errors of rotation matrices and of the length of most quaternions, beyond which the numbers are something
-else."""
+QUATERNION_TOLERANCE = 0.05
+"""Maximum error of the length of most quaternions, beyond which the numbers are something else."""
+IN_EUROC_FORM = "trajectory without names in EuRoC's form, which has w first; read as x, y, z, w"
 OUT_OF_ORDER = "pose out of order, sorted by its stamp"
-STAMPS = ("(?:.*_)?header_stamp", "(?:time_?)?stamp", "time|t", "(?:.*_)?(?:time|stamp|timestamp)|")
-"""Patterns of the names of stamps, the preferred first; "" stands for names that are units, such as sec and nsec."""
-TUM = ("stamp", "x", "y", "z", "qx", "qy", "qz", "qw")
-QUATERNION = TUM[4:]
-ROLES = {
-    axis: (axis, f"[pt]_?{axis}|pos_{axis}|p_.*_{axis}", f"(?:.*_)?(?:position|translation)_{axis}") for axis in "xyz"
-} | {
-    role: (f"q_?{role[1]}|q_.*_{role[1]}", f"(?:.*_)?(?:quat|quaternion|orientation|rotation)_{role[1]}")
-    for role in QUATERNION
-}
-"""Patterns of the names of columns for each number of a pose, the preferred first."""
 
 
 @checks_arguments
@@ -47,13 +38,14 @@ def read_trajectory(path: Path | str, skipped: Counter[str] | None = None) -> Tr
     """Read the poses of a text file, in metres.
 
     By the names of its columns, if it has them: a stamp, x, y, z, and qx, qy, qz, qw, or roll, pitch and yaw (turned
-    about z, then y, then x) with their unit: CSV of other programs, EuRoC. Else lines of ``stamp x y z qx qy qz qw``
-    (TUM), or of the twelve numbers of ``T_world_drone[:3]`` with the stamps in times.txt beside it (KITTI). Stamps are
-    seconds, or Unix times in a smaller unit, or in the unit that their name gives.
+    about z, then y, then x) with their unit, or r11, r12, … r33: CSV of other programs, EuRoC. Else lines of ``stamp x
+    y z qx qy qz qw`` (TUM), of a stamp and the numbers of ``T_world_drone``, or of the twelve of ``T_world_drone[:3]``
+    with the stamps in times.txt beside it (KITTI). Stamps are seconds, or Unix times in a smaller unit, or in the unit
+    that their name gives.
 
     Dropped poses are counted in ``skipped``. Raises `InputError`.
     """
-    path = Path(path)
+    path, skipped = Path(path), Counter() if skipped is None else skipped
     with reading(path, "a TUM trajectory (stamp x y z qx qy qz qw) or one with names of columns"):
         table = read_table(path)
         number = {role: table.find(*patterns) for role, patterns in ROLES.items()}
@@ -62,9 +54,9 @@ def read_trajectory(path: Path | str, skipped: Counter[str] | None = None) -> Tr
         elif len(table.own) == 12 and not table.has_header:
             rows, unit = _kitti(path, table), ""
         else:
-            rows, unit = _tum(table), ""
+            rows, unit = _tum(table, skipped), ""
         check_units(rows, unit)
-    return trajectory_of(path, rows, Counter() if skipped is None else skipped)
+    return trajectory_of(path, rows, skipped)
 
 
 def unit_of_stamps(stamps: Array) -> str | None:
@@ -102,17 +94,22 @@ def _seconds(stamps: Array, unit: str) -> Array:
     return stamps * SECONDS[unit or unit_of_stamps(stamps) or "s"]
 
 
-def _tum(table: Table) -> Array:
+def _tum(table: Table, skipped: Counter[str]) -> Array:
     if table.has_header:
         raise ValueError(f"columns {', '.join(table.names)[:80]}; expected {', '.join(TUM)}")
+    if len(table.own) in (13, 17) and (matrix := xyzw_of((rows := table.values(table.own))[:, 1:13], 4)) is not None:
+        return np.column_stack([_seconds(rows[:, 0], ""), rows[:, [4, 8, 12]], matrix])
     if len(table.own) != 8:
         raise ValueError(
             f"{len(table.own)} numbers per line, without names; expected 8, or 12 with times.txt beside it"
         )
     rows = table.values(table.own)
+    is_euroc = table.separator == "," and unit_of_stamps(rows[:, 0]) == "ns" and not table.said
     rows[:, 0] = _seconds(rows[:, 0], "")
     orders = [table.said[k : k + 4] for k in range(3, len(table.said)) if table.said[k - 1].endswith("z")]
-    w_first = ("qw", "qx", "qy", "qz") in orders and QUATERNION not in orders
+    is_said = ("qw", "qx", "qy", "qz") in orders and QUATERNION not in orders
+    w_first = w_is_first(rows[:, 4:]) if is_euroc else is_said
+    skipped[IN_EUROC_FORM] += w_first is None
     return rows[:, [0, 1, 2, 3, 5, 6, 7, 4]] if w_first else rows
 
 
@@ -120,16 +117,15 @@ def _kitti(path: Path, table: Table) -> Array:
     beside = path.with_name("times.txt")
     if not beside.is_file():
         raise ValueError("12 numbers per line (KITTI) without stamps; expected them in times.txt beside it")
-    T, times = table.values(table.own).reshape(-1, 3, 4), read_table(beside)
+    rows, times = table.values(table.own), read_table(beside)
     if times.columns != 1:
         raise ValueError(f"times.txt beside it has {times.columns} numbers a line; expected one, the stamp")
     stamps = times.values([0])
-    R = T[:, :, :3]
-    if len(T) != len(stamps):
-        raise ValueError(f"{len(T)} poses, {len(stamps)} stamps in times.txt; expected as many")
-    if np.abs(R @ R.transpose(0, 2, 1) - np.eye(3)).max() > ROTATION_TOLERANCE or (np.linalg.det(R) < 0).any():
+    if len(rows) != len(stamps):
+        raise ValueError(f"{len(rows)} poses, {len(stamps)} stamps in times.txt; expected as many")
+    if (xyzw := xyzw_of(rows, 4)) is None:
         raise ValueError("12 numbers per line, not rotations with translations (KITTI)")
-    return np.column_stack([_seconds(stamps[:, 0], ""), T[:, :, 3], Rotation.from_matrix(R).as_quat()])
+    return np.column_stack([_seconds(stamps[:, 0], ""), rows[:, 3::4], xyzw])
 
 
 def _named(table: Table, number: dict[str, int | None]) -> tuple[Array, str]:
@@ -137,8 +133,10 @@ def _named(table: Table, number: dict[str, int | None]) -> tuple[Array, str]:
     stamps, "" if not given."""
     stamp, angles = _stamp_columns(table), [table.find(rf"(?:.*_)?{name}") for name in ("roll", "pitch", "yaw")]
     by_angles = None not in angles and number["qw"] is None
+    by_matrix = not by_angles and number["qw"] is None and {*ROTATIONS} <= {*table.names}
     turned = angles if by_angles else [number[role] for role in QUATERNION]
-    missing = [role for role, k in number.items() if k is None and (role in "xyz" or not by_angles)]
+    turned = [table.find(name) for name in ROTATIONS] if by_matrix else turned
+    missing = [role for role, k in number.items() if k is None and (role in "xyz" or not (by_angles or by_matrix))]
     missing = missing if stamp else ["stamp", *missing]
     if missing:
         raise ValueError(
@@ -151,6 +149,10 @@ def _named(table: Table, number: dict[str, int | None]) -> tuple[Array, str]:
     stamp_s = _seconds(values[:, 0], table.units[stamp[0]])
     if len(stamp) == 2:
         stamp_s, values = values[:, 0] + values[:, 1] * SECONDS[table.units[stamp[1]]], values[:, 1:]
+    if by_matrix:
+        if (xyzw := xyzw_of(values[:, 4:], 3)) is None:
+            raise ValueError(f"{', '.join(ROTATIONS)} are no rotations; expected a matrix, row by row")
+        return np.column_stack([stamp_s, values[:, 1:4], xyzw]), table.units[stamp[0]]
     if not by_angles:
         return np.column_stack([stamp_s, values[:, 1:]]), table.units[stamp[0]]
     units = {table.units[k] for k in angles if k is not None}

@@ -9,11 +9,13 @@ from scipy.spatial.transform import Rotation
 
 from steelnb.core.errors import InputError
 from steelnb.io import read_trajectory, write_tum
+from steelnb.io.column_names import ROTATIONS
 from steelnb.io.trajectories import trajectory_of
 from tests.io.samples import poses
 
 TURN = Rotation.from_euler("ZYX", [50, -20, 10], degrees=True)
 X, Y, Z, W = (repr(number) for number in TURN.as_quat(canonical=True).tolist())
+MATRIX = np.vstack([np.column_stack([TURN.as_matrix(), [1, 2, 3]]), [0, 0, 0, 1]])
 NAMES = "x,y,z,qx,qy,qz,qw"
 POSE = f"1,2,3,{X},{Y},{Z},{W}"
 
@@ -76,6 +78,32 @@ def named(prefix: str, sign: str = ".") -> str:
             + "".join(f"{t},{part},{t},{POSE}\n" for t, part in ((1700000000, 500000000), (1700000001, 500000000)))
             + f",,,{POSE}\n",
         ),
+        *(
+            (0.5, f"{stamp},{axes},{turn}\n0.5,1,2,3,{W},{X},{Y},{Z}\n1.5,1,2,3,{W},{X},{Y},{Z}\n")
+            for stamp, axes, turn in (
+                ("Stamp (UTC)", "x,y,z", "q0,q1,q2,q3"),
+                ("t", "position[0],position[1],position[2]", "q[0],q[1],q[2],q[3]"),
+                ("t", "PosX,PosY,PosZ", "RotW,RotX,RotY,RotZ"),
+                ("Time", "tX,tY,tZ", "oW,oX,oY,oZ"),
+                ("unix_time", "x,y,z", "qr,qi,qj,qk"),
+                ("t", "pos_x,pos_y,pos_z", "rot_w,rot_x,rot_y,rot_z"),
+            )
+        ),
+        (0.5, f"timeMs,{NAMES}\n500,{POSE}\n1500,{POSE}\n"),
+        (0.5, f"elapsed_time,unix_time,{NAMES}\n7,0.5,{POSE}\n8,1.5,{POSE}\n"),
+        *(
+            (1.7e9, f"{names}2023-11-14 22:13:20 {POSE}\n2023-11-14 22:13:21 {POSE}\n".replace(",", " "))
+            for names in ("", f"# stamp {NAMES}\n", f"stamp {NAMES}\n")
+        ),
+        *(
+            (0.5, "".join(f"{text}\n" for text in (names, f"0.5,{numbers}", f"1.5,{numbers}") if text))
+            for names, numbers in (
+                ("", ",".join(map(str, MATRIX[:3].ravel()))),
+                ("", ",".join(map(str, MATRIX.ravel()))),
+                ("t," + ",".join(f"T{i}{j}" for i in range(4) for j in range(4)), ",".join(map(str, MATRIX.ravel()))),
+                ("t,tx,ty,tz," + ",".join(ROTATIONS), ",".join(map(str, [1, 2, 3, *TURN.as_matrix().ravel()]))),
+            )
+        ),
         (0.5, f"__time,{named('/odom/pose/pose/', '/')}\n0.5,{POSE}\n1.5,{POSE}\n"),
     ],
 )
@@ -116,6 +144,11 @@ def test_poses_of_kitti_take_their_stamps_from_the_file_beside(tmp_path: Path) -
         ("50000000000 1 2 3 0 0 0 1\n50100000000 1 2 3 0 0 0 1\n", "stamps 1e.08 s apart; expected seconds"),
         ("0 1 2 3 0 0 0 1\n1 1 2 3 0 0\n", "line 2 has 6 fields"),
         ("2 " * 12 + "\n", "without stamps"),
+        ("2 " * 17 + "\n", "17 numbers per line, without names; expected 8"),
+        (
+            f"t,x,y,z,{','.join(ROTATIONS)}\n0,{'1,' * 11}1\n",
+            "r11, r12, .* are no rotations; expected a matrix, row by",
+        ),
         ("0 1e30 2 3 0 0 0 1\n", "1 poses, none valid"),
         ("0 1 2 3 0.1 -0.2 1.5 0.9\n1 1 2 3 0.1 0 -1.4 0.9\n", "quaternions of length 1.7.*; expected qx, qy, qz, qw"),
         ("0 1 2 3 30 0 90 1\n1 1 2 3 30 0 91 1\n", "2 poses, none valid; expected .* unit quaternions"),
@@ -182,3 +215,20 @@ def test_invalid_poses_are_dropped(tmp_path: Path) -> None:
     read = read_trajectory(tmp_path / "a.tum")
     np.testing.assert_array_equal(read.stamp_s, [1.0, 2.0])
     np.testing.assert_array_equal(read.position[:, 0], [0.0, 1.0])
+
+
+@pytest.mark.parametrize(
+    ("yaw_deg", "w_first", "is_noted"), [(50, True, False), (50, False, False), (0, False, True), (180, True, True)]
+)
+def test_rows_as_of_euroc_without_names_have_w_first_if_the_drone_is_upright_so(
+    yaw_deg: float, w_first: bool, is_noted: bool, tmp_path: Path
+) -> None:
+    turn = Rotation.from_euler("ZYX", [yaw_deg, 4, 3], degrees=True)
+    xyzw = turn.as_quat()
+    numbers = ",".join(map(str, np.roll(xyzw, 1) if w_first else xyzw))
+    (tmp_path / "a.csv").write_text("".join(f"{t}000000000,1,2,3,{numbers},\n" for t in (1700000000, 1700000001)))
+    skipped = Counter[str]()
+    read = read_trajectory(tmp_path / "a.csv", skipped)
+    assert any("EuRoC" in reason for reason in +skipped) == is_noted
+    if not (w_first and is_noted):
+        np.testing.assert_allclose(read.T_world_drone[0, :3, :3], turn.as_matrix(), atol=1e-9)
