@@ -19,7 +19,7 @@ UNIT_OF = {word: unit for unit, words in UNITS.items() for word in words.split()
 LENGTHS = {"m", "mm", "cm", "km", "ft", "in"}
 STATED = re.compile(
     r"(?:^|[^\w\s]\s*|\b(?:length|linear|distance|coordinates?|xyz|map|model|points?|all|the|in)\s+)units?\b"
-    r"(?:\s+(?:of\s+(?:length|measure\w*)|are|is|in)\b)*\W*(?:(?:us|survey|international)[\s-]+)*([a-zµ]+)"
+    r"(?:\s+(?:of\s+(?:length|measure\w*)|are|is|in)\b)*\W*(?:(?:us|survey|international)[\s-]+)*([a-zµ]+)\b(?!\s*[/^])"
 )
 """A unit in a sentence, where no word before it tells that it is one of ranges or times: "Units: US survey feet"."""
 STAMPS = (

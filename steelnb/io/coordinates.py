@@ -30,16 +30,18 @@ LINES_COUNTED, TIME_MAX = 10, 1e19
 def is_stray(path: Path | str, points: Array) -> NDArray[np.bool_]:
     """Mask ``(N,)`` of the strays (`STRAY_M`) among points ``(N, 3)``, and of those without a return (`NO_RETURN`).
 
-    Where there was no return, the coordinate is the least or largest, farther from all others than these from each
+    Where there was no return, several points have the same coordinate, farther from all others than these from each
     other. Raises `InputError` for too many points too far from the others.
     """
     is_missing = np.zeros(len(points), dtype=bool)
     for values in points.T:
         for value in (values.min(), values.max()):
-            here, least_m = np.abs(values - value) < SAME_M, 0.0 if round(value) else STRAY_M
-            if abs(value - round(value)) < SAME_M and abs(round(value)) in NO_RETURN and here.mean() < 0.5:
-                others = values[~here]
-                is_missing |= here & (np.abs(others - value).min() > max(np.ptp(others), least_m))
+            if abs(value - round(value)) > SAME_M or abs(round(value)) not in NO_RETURN:
+                continue
+            here = np.abs(values - value) < SAME_M
+            if 1 < np.count_nonzero(here) < len(points) / 2:  # a single one may be a point
+                least_m = max(np.ptp(values[~here]), 0.0 if round(value) else STRAY_M)
+                is_missing |= here & (np.abs(values[~here] - value).min() > least_m)
     is_missing &= is_missing.mean() < 0.5
     kept = points[~is_missing]
     distance_m = np.linalg.norm(points - np.median(kept, axis=0), axis=1)

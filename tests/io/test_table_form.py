@@ -40,7 +40,7 @@ ROW = "1.5 2.5 3.5 0 0 0 1"
         f"My scan\n{NUMBERS}", f"Survey 2023\n{NUMBERS}", f"Survey of the tower, station 3\nx y z\n{NUMBERS}",
         f"; made by a scanner\n{NUMBERS}", f"x y z\nm m m\n{NUMBERS}", f"x y z\n[m] [m] [m]\n{NUMBERS}",
         f"X (m) Y (m) Z (m)\n{NUMBERS}", f"x [m] y [m] z [m]\nm m m\n{NUMBERS}",
-        f"# range unit: mm\n{NUMBERS}", f"# units: m\n# units: s\n{NUMBERS}",
+        f"# range unit: mm\n{NUMBERS}", f"# units: mm/s\n{NUMBERS}", f"# units: m\n# units: s\n{NUMBERS}",
         "# units: mm\nx [m],y [m],z [m]\n1,2,3\n4,5,6\n",
         f"# position is x\n{NUMBERS}", f"# columns x y z\n{NUMBERS}", f"# the fields are x, y, z\n{NUMBERS}",
         "# x right y down z forward\n1 2 3 10 20 30\n4 5 6 10 20 30\n",
