@@ -12,7 +12,7 @@ from typing import Any, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from steelnb.core.arrays import as_array, check_coordinates, fields_of, remedy
+from steelnb.core.arrays import COORDINATE_MAX_M, as_array, check_coordinates, fields_of, remedy
 from steelnb.core.errors import InputError
 
 _Array = NDArray[np.float64]
@@ -20,6 +20,8 @@ RIGID_TOLERANCE = 1e-3
 """Largest deviation of RᵀR from the identity. Rounding to single precision or to text stays below it."""
 SAME_S = 1e-6
 """Stamps that differ by less than a microsecond are the same, at any epoch."""
+STAMP_MAX_S = 1e11
+"""The year 5138. Stamps beyond are no seconds: Unix times in milliseconds are larger."""
 INTEGER_MAX = 2**63 - 1
 _CLOUD, _RIGID = "(N, 3) or (H, W, 3)", "a rigid transform (4, 4)"
 
@@ -131,6 +133,15 @@ def checked_stamps(values: object, name: str) -> _Array:
     if not (stamp_s[1:] > stamp_s[:-1]).all():
         k = int(np.argmin(np.diff(stamp_s) > 0)) + 1
         raise InputError(f"{name}[{k}] = {stamp_s[k]!s} after {stamp_s[k - 1]!s}: expected strictly increasing stamps")
+    checked_stamp(stamp_s[0] if len(stamp_s) else 0.0, f"{name}[0]")  # a later one alone may be a file's damaged line
+    return stamp_s
+
+
+def checked_stamp(value: object, name: str) -> float:
+    """A finite stamp, seconds."""
+    stamp_s = checked_number(value, name)
+    if stamp_s > STAMP_MAX_S:
+        raise InputError(f"{name} = {shown(value)}: expected seconds, at most {STAMP_MAX_S:.0e}")
     return stamp_s
 
 
@@ -205,7 +216,8 @@ def _is_rigid(x: list[float], y: list[float], z: list[float], last: list[float])
         a * c + d * f + g * i, b * c + e * f + h * i, last[0], last[1], last[2], last[3] - 1,
     )  # fmt: skip
     handed = a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g)
-    return max(map(abs, off)) <= RIGID_TOLERANCE and handed > 0 and math.isfinite(sum(off) + p + q + r)
+    near = max(abs(p), abs(q), abs(r)) <= COORDINATE_MAX_M
+    return near and max(map(abs, off)) <= RIGID_TOLERANCE and handed > 0 and math.isfinite(sum(off) + p + q + r)
 
 
 def _check_rigid(T: _Array, name: str, index: str) -> None:
@@ -215,13 +227,15 @@ def _check_rigid(T: _Array, name: str, index: str) -> None:
         skew = np.abs(R.transpose(0, 2, 1) @ R - np.eye(3)).max(axis=(1, 2), initial=0.0)
         row = np.abs(T[:, 3] - np.eye(4)[3]).max(axis=1, initial=0.0)
         handed = np.linalg.det(R)
-    good = (skew <= RIGID_TOLERANCE) & (row <= RIGID_TOLERANCE) & (handed > 0) & np.isfinite(T[:, :3, 3]).all(axis=1)
+    near = np.abs(T[:, :3, 3]).max(axis=1, initial=0.0) <= COORDINATE_MAX_M
+    good = (skew <= RIGID_TOLERANCE) & (row <= RIGID_TOLERANCE) & (handed > 0) & near
     if good.all():
         return
     k = int(np.argmin(good))
     name, at = f"{name}{index.format(k)}", T[k]
     if not np.isfinite(at).all():
         raise InputError(f"{name}: an entry is not finite; expected {_RIGID}")
+    check_coordinates(at[:3, 3], name)
     if row[k] > RIGID_TOLERANCE:
         raise InputError(f"{name}: last row {at[3].tolist()}; expected 0, 0, 0, 1")
     if skew[k] > RIGID_TOLERANCE:

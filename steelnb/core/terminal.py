@@ -75,7 +75,7 @@ def discard(stream: TextIO) -> None:
 def warn(*messages: str) -> None:
     """Print warnings to stderr, one line each."""
     for message in messages:
-        say(f"steelnb: warning: {message}", sys.stderr)
+        say(f"steelnb: warning: {' '.join(message.split())}", sys.stderr)
 
 
 @contextmanager

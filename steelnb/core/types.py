@@ -76,7 +76,10 @@ class Trajectory:
         to the first and last pose. Raises `InputError` with fewer than two poses."""
         from steelnb.core.geometry import interpolated_poses  # imports this module
 
-        shape = np.shape(stamp_s)
+        try:
+            shape = np.shape(stamp_s)
+        except ValueError:
+            raise InputError("stamp_s: lists of several lengths; expected an array of real numbers") from None
         stamp_s = checks.checked_array(np.ravel(stamp_s), "stamp_s", ("K",)).reshape(shape)
         if len(self) < 2:
             raise InputError(f"a trajectory of {len(self)} poses: expected at least two to interpolate")
@@ -118,7 +121,7 @@ class Scan:
     fault: str = ""
 
     def __post_init__(self) -> None:
-        stamp_s = checks.checked_number(self.stamp_s, "Scan.stamp_s")
+        stamp_s = checks.checked_stamp(self.stamp_s, "Scan.stamp_s")
         checks.checked_kind(self.fault, "Scan.fault", str)
         points = without_zeros(checks.checked_cloud(self.points, "Scan.points"))
         checks.set_checked(self, stamp_s=stamp_s, points=points)

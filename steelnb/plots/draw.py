@@ -55,7 +55,8 @@ def in_view(points: Array) -> NDArray[np.bool_]:
 @checks_arguments
 def project_perspective(points: Array, cloud: Array, elevation_deg: float = 10.0) -> Array:
     """Project points ``(…, 3)`` to ``(…, 2)``, metres, by a pinhole camera to the front right of the middle of
-    ``cloud``, ``elevation_deg`` above it and 2.2 diagonals away. The middle is drawn to scale.
+    ``cloud``, ``elevation_deg`` above it and 2.2 diagonals away. The middle is drawn to scale. Points at one place are
+    seen as if they were as far apart as the scale bar is long.
 
     Matplotlib's 3D axes are not used, since they draw into a square and hide bars behind points.
     """
@@ -63,7 +64,7 @@ def project_perspective(points: Array, cloud: Array, elevation_deg: float = 10.0
     to_camera = np.array([np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)])
     right = np.array([-np.sin(azimuth), np.cos(azimuth), 0.0])
     away = points - (cloud.min(axis=0) + cloud.max(axis=0)) / 2
-    distance = 2.2 * np.linalg.norm(np.ptp(cloud, axis=0))
+    distance = 2.2 * (float(np.linalg.norm(np.ptp(cloud, axis=0))) or BAR_M)
     flat = away @ np.stack([right, np.cross(to_camera, right)], axis=1)
     return np.asarray(flat * (distance / (distance - away @ to_camera))[..., None])
 

@@ -50,7 +50,7 @@ def test_a_command_goes_on_if_nobody_reads(monkeypatch, capsys, name, said):
 
 def test_a_warning_is_one_line(capsys):
     prepare_terminal()
-    warnings.warn("no place", stacklevel=1)
+    warnings.warn("no\n place", stacklevel=1)
     assert capsys.readouterr().err == "steelnb: warning: no place\n"
 
 

@@ -10,10 +10,10 @@ from matplotlib.colors import to_rgb
 
 from steelnb import plots
 from steelnb.core.errors import InputError
-from steelnb.core.types import Segments
+from steelnb.core.types import Segments, Trajectory
 from steelnb.plots.charts import error_dots, some
 from steelnb.plots.draw import in_view
-from steelnb.plots.flight import figure_bars
+from steelnb.plots.flight import figure_bars, figure_flight
 
 TOGETHER = {
     "bands": ["draws", "draw", "report"],
@@ -40,6 +40,14 @@ def test_curves_of_one_panel_have_colours_that_differ(names):
     for one, other in itertools.combinations(names, 2):
         apart = np.linalg.norm(lightness_and_hue(plots.COLOURS[one]) - lightness_and_hue(plots.COLOURS[other]))
         assert apart > 20, (one, other)
+
+
+def test_points_at_one_place_are_drawn_beside_a_path():
+    T = np.tile(np.eye(4), (3, 1, 1))
+    T[:, 0, 3] = np.arange(3)
+    paths = {"held": (Trajectory(np.arange(3.0), T), "black")}
+    figure = figure_flight(paths, None, np.full((10, 3), 1e7), Segments.empty(), "one place")
+    assert np.isfinite(figure.axes[0].get_xlim()).all()
 
 
 @pytest.fixture
