@@ -1,9 +1,11 @@
 """A user's own odometry: a class in a module of theirs."""
 
+import copy
 import importlib
 import inspect
 import sys
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -15,26 +17,39 @@ from steelnb.odometry.base import Odometry
 
 GIVEN = ("T_drone_sensor", "imu", "images")
 """Parts of a flight that the constructor of a user's odometry may take under these names."""
+BY_NAME = inspect.Parameter.POSITIONAL_OR_KEYWORD, inspect.Parameter.KEYWORD_ONLY
+SIGNALLED = 128
+"""Codes of an exit above this are those of a signal, not the user's."""
 
 
 @checks_arguments
 def load_odometry(name: str) -> Callable[..., Odometry]:
-    """Load the class ``MODULE:CLASS`` from an installed module, or from one in the working directory.
+    """Load the class ``MODULE:CLASS`` from an installed module or from one in the working directory, or
+    ``FILE.py:CLASS`` from a file.
 
-    Raises `InputError` if module, class or its method `update` is missing, or if its constructor requires arguments
-    other than `GIVEN`.
+    Raises `InputError` if module, class or its method `update` is missing, if the class is abstract, or if its
+    constructor requires arguments other than `GIVEN`.
     """
-    module_name, _, class_name = name.partition(":")
-    sys.path.insert(0, str(Path.cwd()))
-    try:
-        module = importlib.import_module(module_name)
-    except Exception as fault:  # the user's module may raise anything
-        raise InputError(f"{name}: module {module_name!r} cannot be imported: {fault}") from None
-    finally:
-        sys.path.pop(0)
+    module_name, _, class_name = name.rpartition(":")
+    folder, file = Path.cwd(), Path(module_name).resolve() if module_name.endswith(".py") else None
+    if file is not None:
+        if not file.is_file():
+            raise InputError(f"{name}: no file {module_name}; expected FILE.py:CLASS or MODULE:CLASS")
+        folder, module_name = file.parent, file.stem
+    sys.path.insert(0, str(folder))
+    with no_exit(f"{name}: module {module_name!r}", "its program below `if __name__ == '__main__':`"):
+        try:
+            module = importlib.import_module(module_name)
+        except Exception as fault:  # the user's module may raise anything
+            raise InputError(f"{name}: module {module_name!r} cannot be imported: {fault}") from None
+        finally:
+            sys.path.pop(0)
+    where = getattr(module, "__file__", None) or "Python itself"
+    if file is not None and Path(where).resolve() != file:
+        raise InputError(f"{name}: {module_name!r} is the name of another module, in {where}; rename the file")
     classes: dict[str, Any] = dict(inspect.getmembers(module, inspect.isclass))
     if class_name not in classes:
-        raise InputError(f"{name}: no class {class_name!r} in {module.__file__}{guess(class_name, list(classes))}")
+        raise InputError(f"{name}: no class {class_name!r} in {where}{guess(class_name, list(classes))}")
     kind = classes[class_name]
     if not callable(getattr(kind, "update", None)):
         raise InputError(f"{name}: no method 'update'; expected update(scan, T_world_drone_prior) -> OdometryStep")
@@ -43,20 +58,42 @@ def load_odometry(name: str) -> Callable[..., Odometry]:
 
 
 def make_own(own: Callable[..., Odometry], flight: Flight) -> Odometry:
-    """A new odometry of a user's class, given the parts of the flight that its constructor takes by name. Raises
-    `InputError` if that requires others."""
-    _check_constructor(own, getattr(own, "__name__", "own"))
-    names = [each.name for each in _parameters(own)]
-    return own(**{name: getattr(flight, name) for name in GIVEN if name in names})
+    """A new odometry of a user's class, given copies of the parts of the flight that its constructor takes by name.
+    Raises `InputError` if that requires others."""
+    name = getattr(own, "__name__", "own")
+    _check_constructor(own, name)
+    names = [each.name for each in _parameters(own) if each.kind in BY_NAME]
+    shared = {id(flight.images.images): flight.images.images} if flight.images else {}  # made or read on access
+    given = {each: copy.deepcopy(getattr(flight, each), shared) for each in GIVEN if each in names}
+    with no_exit(f"{name}: its constructor"):
+        return own(**given)
+
+
+@contextmanager
+def no_exit(what: str, expected: str = "no exit") -> Iterator[None]:
+    """Raise `InputError` where a user's code would end the process, often with the code of success. ``what``: that
+    code."""
+    try:
+        yield
+    except SystemExit as ended:
+        if isinstance(ended.code, int) and ended.code > SIGNALLED:
+            raise
+        raise InputError(f"{what} ends the process with {ended!r}; expected {expected}") from None
 
 
 def _check_constructor(own: Callable[..., Odometry], name: str) -> None:
-    """Raise `InputError` if a constructor requires arguments other than `GIVEN`."""
-    needed = {each.name for each in _parameters(own) if each.default is each.empty and "VAR" not in each.kind.name}
-    if unknown := needed - set(GIVEN):
-        raise InputError(f"{name}: its constructor needs {', '.join(sorted(unknown))}; expected {', '.join(GIVEN)}")
+    """Raise `InputError` if a class is abstract, or if its constructor requires arguments other than `GIVEN`."""
+    if missing := getattr(own, "__abstractmethods__", ()):
+        raise InputError(f"{name}: an abstract class; expected one with {', '.join(sorted(missing))}")
+    needed = {each for each in _parameters(own) if each.default is each.empty and "VAR" not in each.kind.name}
+    if unknown := sorted(each.name for each in needed if each.name not in GIVEN or each.kind not in BY_NAME):
+        raise InputError(f"{name}: its constructor needs {', '.join(unknown)}; expected {', '.join(GIVEN)}, by name")
 
 
 def _parameters(own: Callable[..., Odometry]) -> Iterable[inspect.Parameter]:
-    """The parameters of a constructor that is not ours, so that only Python knows them."""
-    return inspect.Signature.from_callable(own).parameters.values()
+    """The parameters of a constructor that is not ours, so that only Python knows them; none if it does not, as of
+    compiled classes."""
+    try:
+        return inspect.Signature.from_callable(own).parameters.values()
+    except ValueError:
+        return ()

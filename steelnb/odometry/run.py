@@ -1,5 +1,6 @@
 """The loop that runs an odometry over a flight."""
 
+import copy
 import time
 from collections.abc import Callable
 from typing import Any
@@ -12,6 +13,7 @@ from steelnb.core.errors import InputError
 from steelnb.core.estimates import Estimate, OdometryStep
 from steelnb.core.types import Flight, Scan, Segments, Trajectory
 from steelnb.odometry.base import Odometry
+from steelnb.odometry.plugins import no_exit
 
 OnStep = Callable[[int, Scan, OdometryStep], None]
 
@@ -22,7 +24,8 @@ def run(flight: Flight, odometry: Odometry, on_step: OnStep | None = None, befor
 
     Parameters
     ----------
-    flight : the scans, the drifting prior at their stamps, and the mount of the sensor.
+    flight : the scans, the drifting prior at their stamps, and the mount of the sensor. A class that is not of this
+        package gets copies of the scans.
     odometry : a new one; afterwards it holds the map.
     on_step : called after every scan with its number, the scan and its `OdometryStep`; its time is not measured.
     before : another flight, which the odometry corrects first; its steps are dropped, and what it has learnt stays.
@@ -36,15 +39,17 @@ def run(flight: Flight, odometry: Odometry, on_step: OnStep | None = None, befor
         run(before, odometry)
     steps: list[OdometryStep] = []
     reason, update_s = [], np.zeros(len(flight))
-    T_world_drone = flight.prior.T_world_drone.copy()
+    T_world_drone, is_ours = flight.prior.T_world_drone.copy(), type(odometry).__module__.startswith("steelnb.")
     for k, scan in enumerate(flight.scans):
         if k == len(flight):
             raise InputError(f"{flight.name}: more than {k} scans could be read; expected {k}, one per pose")
         checked_kind(scan, f"{flight.name}, scan {k}", Scan)
         _check_stamp(scan.stamp_s, f"{flight.name}, scan {k}", float(flight.prior.stamp_s[k]), "its pose")
+        given = (scan if is_ours else copy.deepcopy(scan)), flight.prior.T_world_drone[k].copy()  # which it may change
         begin = time.perf_counter()
         try:
-            step = odometry.update(scan, flight.prior.T_world_drone[k].copy())  # which it may change
+            with no_exit("it", "an OdometryStep"):
+                step = odometry.update(*given)
             update_s[k] = time.perf_counter() - begin
             # Checked again, as the odometry may have changed the array since.
             T_world_drone[k] = checked_pose(checked_kind(step, "its result", OdometryStep).T_world_drone, "its pose")
@@ -52,7 +57,8 @@ def run(flight: Flight, odometry: Odometry, on_step: OnStep | None = None, befor
         except InputError as fault:
             raise InputError(f"{type(odometry).__name__}.update, scan {k}: {fault}") from None
         steps.append(step)
-        reason.append("" if step.used else scan.fault or step.reason or "not used")
+        # On one line, as it is printed.
+        reason.append("" if step.used else " ".join((scan.fault or step.reason).split()) or "not used")
         if on_step:
             on_step(k, scan, step)
     if len(steps) < len(flight):
@@ -82,4 +88,12 @@ def _map_of(odometry: Odometry, method: str, default: Any) -> Any:
     found, name = getattr(odometry, method, None), f"{type(odometry).__name__}.{method}()"
     if not callable(found):
         return default
-    return checked_kind(found(), name, Segments) if isinstance(default, Segments) else checked_points(found(), name)
+    with no_exit(name):
+        value = found()
+    if not isinstance(default, Segments):
+        return checked_points(value, name)
+    checked_kind(value, name, Segments)
+    try:
+        return value.checked()
+    except InputError as fault:
+        raise InputError(f"{name}: {fault}") from None

@@ -123,8 +123,13 @@ def run_recording(
         found = near.moved(origin, flight.prior)
         numbers = evaluate(flight, found.estimate, found.segments, found.structure, known)
         on_stage("drawing and writing")
-        paths = {"drifting": (flight.prior, COLOURS["none"]), label: (found.estimate.corrected, colour)}
-        paths |= {known.name: (known.other, COLOURS["incremental"])} if known.other is not None else {}
+        paths: dict[str, tuple[Trajectory, str]] = {}
+        for name, path, look in (
+            ("drifting", flight.prior, COLOURS["none"]), (label, found.estimate.corrected, colour),
+            (known.name, known.other, COLOURS["incremental"]),
+        ):  # fmt: skip
+            if path is not None:  # a user's class or file may have the name of another path
+                paths[f"{name} ({len(paths) + 1})" if name in paths else name] = path, look
         drawn = {name: (path.moved(-origin), colour) for name, (path, colour) in paths.items()}
         draw(folder, flight.name, near, drawn, known.truth and known.truth.moved(-origin))
         write(folder, found, numbers, {"source": flight.name, "odometry": method})

@@ -1,5 +1,6 @@
 """`run_recording`: the experiment's numbers through memory and files, and truth in other frames."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -9,6 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from steelnb import experiment
 from steelnb.core.errors import InputError
+from steelnb.core.estimates import OdometryStep
 from steelnb.core.lazy_open3d import import_open3d
 from steelnb.core.types import Flight, Scan, Trajectory
 from steelnb.io import read_flight, read_trajectory, read_truth, write_flight, write_tum
@@ -141,6 +143,18 @@ def test_poses_of_a_map_come_back_in_its_coordinates(simulated, report, undrawn,
     np.testing.assert_allclose(found.segments.start - far, report.segments.start, atol=1e-2)
     low, low_far = (read_points(folder / "map.ply").min(axis=0) for folder in (report.folder, tmp_path))
     np.testing.assert_allclose(low_far - far, low, atol=1e-2)
+
+
+def test_paths_of_one_name_have_a_row_each(simulated, undrawn, tmp_path):
+    class drifting:  # noqa: N801
+        def update(self, scan, T_world_drone_prior):
+            return OdometryStep(scan.stamp_s, T_world_drone_prior)
+
+    _, flight, truth = simulated
+    given = replace(flight.first(5), facts={"mount": ""}), tmp_path, *recording_settings(), truth.trajectory
+    found = run_recording(*given, own=drifting, other=("drifting", truth.trajectory))
+    rows = [re.match(r"drifting(?: \(\d\))?", line[10:]) for line in found.summary]
+    assert [row[0] for row in rows if row] == ["drifting", "drifting (2)", "drifting (3)"]
 
 
 def test_scans_with_a_fault_and_no_structure_are_told(tmp_path):
