@@ -113,6 +113,11 @@ def _flown(values: Values) -> dict[str, list[str]]:
     return methods if isinstance(methods, dict) else {}
 
 
+def _check_trajectory(values: Values) -> None:
+    if "study_folder" in values or "seeds" in values:  # 07 has goals for these two, 09 and 10 the runs of a study
+        check_names("trajectory", [values["trajectory"]], ["loops", "zigzag"])
+
+
 def _check_correction(values: Values) -> None:
     check_names("correction", values["correction"], [name for name in METHODS if name != "none"])
 
@@ -225,6 +230,7 @@ def check_once(name: str, value: list[Any]) -> None:
 
 CHECKS: Mapping[str, Callable[[Values], None]] = {
     "level": _check_level,
+    "trajectory": _check_trajectory,
     "correction": _check_correction,
     "methods": _check_methods,
     "drawn": _check_shown("drawn"),

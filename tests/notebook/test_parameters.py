@@ -11,6 +11,7 @@ from IPython.core.interactiveshell import InteractiveShell
 from steelnb.core.errors import InputError, SteelnbError
 from steelnb.notebook import parameters
 from steelnb.notebook.parameters import check_parameters, literals
+from steelnb.notebook.study import read_runs, write_runs
 from steelnb.settings import parse_parameter
 from workflow.experiments import make_parts, parse_parameters, read_parameters
 
@@ -113,6 +114,9 @@ def test_every_parameter_of_every_notebook_refuses_what_it_cannot_be(path: Path)
         ("07", {"seeds": [1, 2], "overrides": {"seed": 1}}, ["seed = 2, and 1 in the overrides"]),
         ("07", {"tower": ["tapered", "light"], "overrides": {"tower": "light"}}, ["tower = 'tapered', and 'light'"]),
         ("07", {"tower": ["tapered", "hevy"]}, ["tower = 'hevy'"]),
+        ("07", {"trajectory": "planned"}, ["trajectory = 'planned'", "'zigzag'"]),
+        ("09", {"trajectory": "planned"}, ["trajectory = 'planned'", "'zigzag'"]),
+        ("10", {"trajectory": "orbit"}, ["trajectory = 'orbit'", "'zigzag'"]),
         ("08", {"study_folder": "results"}, ["study_folder = 'results'", "runs.parquet"]),
         ("08", {"noise": ["tilt"]}, ["noise = 'tilt'", "'random-walk+tilt'"]),
         ("08", {"method": ["average"]}, ["method = 'average'", "'smoothed'"]),
@@ -160,6 +164,19 @@ def test_what_cannot_be_flown_or_drawn_is_refused(notebook: str, given: dict, wo
 def test_what_can_be_flown_is_not_refused(notebook: str, given: dict) -> None:
     (path,) = (path for path in NOTEBOOKS if path.name.startswith(notebook))
     assert check_parameters("e", given, read_parameters(path)) == given
+
+
+@pytest.mark.parametrize("notebook", ["08", "09", "10", "12"])
+def test_a_study_without_the_runs_that_a_notebook_needs_is_refused(notebook: str, tmp_path: Path) -> None:
+    (path,) = (path for path in NOTEBOOKS if path.name.startswith(notebook))
+    runs = read_runs(path.parents[1] / "results" / "study")
+    write_runs(tmp_path, runs[(runs["sensor"] == "starling2") & (runs["noise"] == "constant-drift")])
+    given = {"study_folder": str(tmp_path)}
+    if notebook == "08":  # shows what there is
+        assert check_parameters("e", given, read_parameters(path)) == given
+    else:
+        with pytest.raises(InputError, match=r"study_folder = .*: it has no run with .*sensor"):
+            check_parameters("e", given, read_parameters(path))
 
 
 def cell_of(path: Path) -> str:
