@@ -16,9 +16,10 @@ from steelnb.core.rng import stream
 from steelnb.core.types import Array, Flight
 from steelnb.experiment import OnProgress, Result
 from steelnb.metrics import WRONG_M, WRONG_SHARE, largest_slip, position_error_m
+from steelnb.notebook.icp_steps import REACHING
 from steelnb.notebook.tables import table
 from steelnb.odometry import CloudOdometry
-from steelnb.plots import BLACK, COLOURS, Figure, gather_legend
+from steelnb.plots import BLACK, COLOURS, Figure, gather_bar, gather_legend
 from steelnb.points import preprocess_scan
 from steelnb.points.covariances import neighbour_covariances, regularised
 from steelnb.registration import FREE, AlignOptions, align, make_target
@@ -102,7 +103,8 @@ def from_poor_starts(
     }
     usable = [k for k, points in between.items() if len(points) >= POINTS_MIN]
     if not 0 < count <= len(usable):
-        raise InputError(f"{count} poor starts: expected 1 to {len(usable)}, the scans that see enough")
+        seen = f"{len(usable)} of {len(between)} scans between those of the map have {POINTS_MIN} points"
+        raise InputError(f"poor_starts = {count}, but {seen}; expected no more starts, or more in view: {REACHING}")
     aims = {method: make_target(points_there, ERROR_OF[method]) for method in ("icp", "gicp")}
     for done, k in enumerate(np.linspace(0, len(usable) - 1, count).round().astype(int).tolist(), 1):
         scan = usable[k]
@@ -134,6 +136,25 @@ def _mapped(settings: ExperimentSettings, flight: Flight, true: Array, without: 
 
 def _preprocessed(settings: ExperimentSettings, flight: Flight, true: Array, k: int) -> Array:
     return preprocess_scan(flight.scans[k], true[k], flight.T_drone_sensor, settings.odometry.preprocess)
+
+
+def figure_basin(basins: pd.DataFrame) -> Figure:
+    """The errors of `find_basin` at its starts, one panel for each ``registration``, a column of ``basins``. A start
+    that it refused has no dot."""
+    refused = basins.groupby("registration", sort=False)["refused"].all()
+    look = {"hue": "error_m", "hue_norm": (0, 1), "palette": "viridis", "s": 70, "lw": 0, "legend": False}
+    facets = {"col": "registration", "col_order": list(refused.index), "height": 3.8}
+    if refused.all():
+        grid = sns.FacetGrid(basins, **facets)
+    else:
+        grid = sns.relplot(basins[~basins["refused"]], x="x_m", y="z_m", **look, **facets)
+    for name in refused.index[refused]:
+        panel = grid.axes_dict[name]
+        panel.text(0.5, 0.5, "all refused", ha="center", va="center", transform=panel.transAxes)
+    labels = {"xlabel": "start off along x (m)", "ylabel": "start off along z (m)"}
+    grid.set(aspect="equal", **labels).set_titles("{col_name}")
+    gather_bar(grid.figure, "error at the end (m)", 1)
+    return grid.figure
 
 
 def figure_starts(starts: pd.DataFrame) -> Figure:

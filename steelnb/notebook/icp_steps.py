@@ -16,6 +16,8 @@ from steelnb.settings import PreprocessSettings
 from steelnb.simulation import Truth
 
 LIMIT_M, EXTENT_M, PAIRS_SHOWN = 0.5, 1.6, 150
+REACHING = "a longer tof.range_max_m and preprocess.crop_m, a lower preprocess.floor_m"
+"""What lets a scan see more, for a message."""
 START = np.eye(4)
 """Where the scan starts: turned by 8° about the line of sight and shifted by 30 cm."""
 START[:3, :3] = Rotation.from_euler("x", 8, degrees=True).as_matrix()
@@ -40,7 +42,7 @@ def icp_steps(source: Array, target: Array, limit_m: float, rounds: int = 50) ->
         distance_m, match = tree.query(source, distance_upper_bound=limit_m)
         paired = np.flatnonzero(np.isfinite(distance_m)).astype(np.int64)
         if not len(paired):
-            raise InputError(f"no pair within {limit_m} m")
+            raise InputError(f"no pair within {limit_m} m of {len(source)} and {len(target)} points")
         matched = target[match[paired]]
         motion = least_squares_motion(source[paired], matched)
         if k == 0:
@@ -63,7 +65,10 @@ def figure_icp_steps(flight: Flight, truth: Truth, frame: int, preprocess: Prepr
         for k, T in zip((frame, frame - 1), T_world_drone, strict=True)
     )
     reference = transform_points(np.linalg.inv(T_world_drone[0]) @ T_world_drone[1], reference)
-    steps = icp_steps(transform_points(START, scan), reference, LIMIT_M)
+    try:
+        steps = icp_steps(transform_points(START, scan), reference, LIMIT_M)
+    except InputError as fault:
+        raise InputError(f"scans {frame} and {frame - 1}: {fault}; expected more in view: {REACHING}") from None
     figure = Figure(figsize=(13, 4.1), layout="constrained")
     for panel, (title, step) in zip(figure.subplots(1, len(steps), sharey=True), steps.items(), strict=True):
         shown = step.paired[:: max(1, len(step.paired) // PAIRS_SHOWN)]

@@ -11,9 +11,10 @@ from steelnb.core.errors import InputError
 from steelnb.metrics import paired_clouds, position_error_m
 from steelnb.notebook import report, tables
 from steelnb.notebook.bands import band_curves, band_table, draw_programs
-from steelnb.notebook.basin import find_basin
+from steelnb.notebook.basin import figure_basin, find_basin, from_poor_starts
 from steelnb.notebook.cases import plot_of, report_cases, with_earlier_runs
 from steelnb.notebook.clouds import assembled_clouds
+from steelnb.notebook.icp_steps import figure_icp_steps
 from steelnb.notebook.runs import flight_paths, run_all
 from steelnb.settings import ExperimentSettings, Noise
 from steelnb.settings.report_plots import read_report_plots
@@ -82,6 +83,26 @@ def test_starts_at_the_truth_converge_and_far_ones_do_not(runs, flown):
     segments = ExperimentSettings.preset(noise="none", method="least_squares", duration_s=5.0)
     with pytest.raises(InputError, match="'least_squares' is of the family 'segments'"):
         find_basin(segments, *flown, 0, starts)
+
+
+def test_a_basin_without_any_result_is_drawn_and_says_so():
+    refused = {"a": [True, True], "b": [False, True]}
+    rows = pd.concat(
+        [pd.DataFrame({"registration": name, "x_m": [0, 1], "z_m": [0, 1], "error_m": 0.5, "refused": some})
+         for name, some in refused.items()]
+    )  # fmt: skip
+    for basins, says in ((rows, [["all refused"], []]), (rows[rows["registration"] == "a"], [["all refused"]])):
+        panels = figure_basin(basins).axes[: len(says)]
+        assert [[text.get_text() for text in panel.texts] for panel in panels] == says
+        assert [panel.get_title() for panel in panels] == list(refused)[: len(says)]
+
+
+def test_scans_that_see_nothing_are_refused_with_the_settings_that_decide(runs, flown):
+    blind = runs[0].settings.override({"preprocess.floor_m": 99.0})
+    with pytest.raises(InputError, match=r"poor_starts = 1, but 0 of .*expected .* a lower preprocess.floor_m"):
+        from_poor_starts(blind, *flown, 1)
+    with pytest.raises(InputError, match=r"scans 5 and 4: no pair within 0.5 m of 0 and 0 points; .*tof.range_max_m"):
+        figure_icp_steps(*flown, 5, blind.odometry.preprocess)
 
 
 def test_the_report_s_experiments_have_its_samples_and_its_curves():
