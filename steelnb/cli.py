@@ -66,7 +66,8 @@ def run(
         Path, typer.Argument(metavar="RECORDING", help="ROS bag, ROS 2 folder, or folder of point clouds.")
     ],
     odometry: Annotated[
-        str, typer.Option(metavar="NAME", help=f"One of {', '.join(METHODS)}, or your own MODULE:CLASS or FILE.py:CLASS.")
+        str,
+        typer.Option(metavar="NAME", help=f"One of {', '.join(METHODS)}, or your own MODULE:CLASS or FILE.py:CLASS."),
     ] = "best",
     output: Annotated[
         Path | None, typer.Option("-o", "--output", metavar="FOLDER", help="Output folder. Default: NAME_run.")

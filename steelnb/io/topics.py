@@ -16,7 +16,7 @@ from steelnb.io.encodings import REPLAYED
 from steelnb.io.folders import TRAJECTORIES
 from steelnb.io.frame_names import is_world_name
 from steelnb.io.headers import Headers
-from steelnb.io.layouts import DEPTHS
+from steelnb.io.layouts import DEPTHS, depth_encoding
 from steelnb.io.transforms import Tree
 
 SCANS = "clouds (PointCloud2 or depth images)"
@@ -37,7 +37,7 @@ REACH_MIN_M, STILL_M, REACHES = 1.0, 0.1, (0.5, 2.0)
 """Poses that stay within the second while those of tf reach farther than the first are not the drone's; and bounds of
 the ratio of two reaches, beyond which they are compared with words."""
 LOOKED_AT = 10
-"""Number of messages that tell what an IMU measures."""
+"""Number of messages that tell what an IMU measures, or whether images are of depth."""
 
 
 class PoseSource(NamedTuple):
@@ -71,20 +71,26 @@ def scan_topic(bag: Container, name: str | None) -> str:
 
 
 def depth_images(bag: Container, name: str | None) -> tuple[list[str], list[InputError]]:
-    """Image topics that are named or whose first message is a depth image, and faults of first messages."""
+    """Image topics that are named or one of whose first messages is a depth image, and faults of first messages."""
     found, faults = [], []
     for topic in bag.of_type(ros.IMAGE):
-        try:
-            encoding = bag.decode(next(bag.messages(topic))).encoding
-        except InputError as fault:
-            faults.append(fault)
-            continue
-        is_grey = encoding == "mono16" and "depth" not in topic.lower()  # images in the infrared are mono16, too
-        if topic == name or (encoding in DEPTHS and not is_grey):
-            found.append(topic)
-        elif "depth" in topic.lower():
-            kinds = ", ".join(DEPTHS)
-            faults.append(InputError(f"{bag.path}: {topic} has encoding {encoding!r}; expected a depth image, {kinds}"))
+        fault: InputError | None = None
+        for raw in itertools.islice(bag.messages(topic), LOOKED_AT):
+            try:
+                encoding = bag.decode(raw).encoding
+            except InputError as damage:
+                fault = fault or damage
+                continue
+            kind = depth_encoding(encoding)
+            is_grey = kind == "mono16" and "depth" not in topic.lower()  # images in the infrared are mono16, too
+            if topic == name or (kind in DEPTHS and not is_grey):
+                found.append(topic)
+                break
+            if "depth" in topic.lower():
+                expected = f"expected a depth image, {', '.join(DEPTHS)}"
+                fault = fault or InputError(f"{bag.path}: {topic} has encoding {encoding!r}; {expected}")
+        else:
+            faults += [fault] if fault else []
     return found, faults
 
 

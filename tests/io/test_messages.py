@@ -11,7 +11,7 @@ from steelnb.core.errors import InputError
 from steelnb.io import read_flight
 from steelnb.io.bag_writer import Messages
 from steelnb.io.layouts import DEPTHS, cloud_layout, depth_layout
-from steelnb.io.messages import CameraInfo, camera_matrix, cloud_points, depth_points
+from steelnb.io.messages import IMAGE, CameraInfo, camera_matrix, cloud_points, depth_points
 from steelnb.io.recordings import FAR_M, Scans
 from tests.io.samples import POINTS, TRIALS, Bagged
 
@@ -253,6 +253,10 @@ def test_depth_images_are_told_from_grey_and_compressed_ones(tmp_path):
     flight = read_flight(one.camera().odometry().write())
     assert flight.facts["scans"] == "/depth/image (Image)"
     assert flight.facts["notes"] == "encoding mono16 is read as 16UC1, millimetres"
+    others = Bagged(tmp_path / "c.mcap").images("/depth/image", depth_mm, "TYPE_16UC1").camera().odometry()
+    empty = next(message for _, kind, _, message in others.rows if kind == IMAGE)
+    empty.encoding, empty.height, empty.width, empty.step, empty.data = "", 0, 0, 0, np.zeros(0, np.uint8)
+    assert np.isfinite(read_flight(others.write()).scans[1].points).all()
     packed = Bagged(tmp_path / "b.mcap").odometry()
     message = MAKE.make(
         "sensor_msgs/msg/CompressedImage", MAKE.header(0, "c"), "16UC1; compressedDepth png", np.zeros(4, np.uint8)
