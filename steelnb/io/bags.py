@@ -20,8 +20,9 @@ from steelnb.io.frames import Frames, drone_axes, sensor_frames, world_axes
 from steelnb.io.headers import Headers
 from steelnb.io.inertial import readings_of
 from steelnb.io.opened import Opened, joined_parts
+from steelnb.io.pose_sources import PoseSource, pose_source, settled
 from steelnb.io.scanning import Raw
-from steelnb.io.topics import PoseSource, imu_topics, pose_source, scan_topic, settled
+from steelnb.io.topics import imu_topics, scan_topic
 from steelnb.io.trajectories import check_units, read_trajectory, trajectory_of
 from steelnb.io.transforms import Tree, frame_name
 
@@ -72,7 +73,8 @@ class _Bag:
             source = settled(source, self.headers, tree, sensor)
             prior, world, body, said = self._poses(source, topic, tree, sensor)
             frames = sensor_frames(tree, world, body, self.headers.scan_frames, stamp_s, is_depth, mount)
-            self._check_placed(topic, tree, body, sensor, frames, stamp_s)
+            if mount is None:
+                self._check_placed(topic, tree, world, body, sensor, frames, stamp_s)
         except InputError as fault:
             raise InputError(str(fault) if str(self.bag.path) in str(fault) else f"{self.bag.path}: {fault}") from None
         unplaced = np.isnan(frames.stamp_s) & ~np.isnan(stamp_s)
@@ -98,16 +100,19 @@ class _Bag:
         walk, first = partial(self._walk, topic, cameras, frames, groups), [group[0] for group in groups]
         return Opened(frames.stamp_s[first], walk, prior, frames.T_drone_sensor, facts, readings, self.headers.skipped)
 
-    def _check_placed(self, scans: str, tree: Tree, body: str, sensor: str, frames: Frames, stamp_s: Array) -> None:
+    def _check_placed(
+        self, scans: str, tree: Tree, world: str, body: str, sensor: str, frames: Frames, stamp_s: Array
+    ) -> None:
         """Raise `InputError` if no scan has a place on the drone, or if the clock of a transform to it differs."""
         times = {"scans": stamp_s[~np.isnan(stamp_s)]}
-        for key in tree.keys_between(body, sensor):
+        for key in [key for key in tree.keys_between(body, sensor) if key not in tree.keys_between(world, body)]:
             if tree.edges[key].moves and (path := tree.edges[key].path) is not None:
                 times[name := f"transforms {key[0]} → {key[1]}"] = path.stamp_s
                 self._check_clocks(scans, key, name)
         if np.isnan(frames.stamp_s).all() and len(times) > 1:
             spans = ", ".join(f"{name} from {each.min():.3f} to {each.max():.3f} s" for name, each in times.items())
-            raise InputError(f"no scan has a place on the drone at its time: {spans}; expected one clock{OF_BAG}")
+            remedy = f"expected transforms around each scan, by one clock{OF_BAG}, or --mount"
+            raise InputError(f"no scan has a place on the drone at its time: {spans}; {remedy}")
 
     def _poses(self, source: PoseSource, scans: str, tree: Tree, sensor: str) -> tuple[Trajectory, str, str, str]:
         """Poses of the drone, names of the world and of the drone's frame, and the source in words."""

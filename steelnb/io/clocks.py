@@ -21,7 +21,7 @@ STEADY_S, CLOCKS_APART_S, LATE_S, SPREAD_SHARE = 1.0, 10.0, 1.0, 0.1
 the median. They differ if these distances differ by more than the second, which exceeds any latency. They may differ if
 it is more than the third, and much more than the distances vary."""
 RIGHT_SHARE = 0.1
-"""Minimum share of stamps with the clock of the others, if most have another one: they were sent before it was set."""
+"""Minimum share of stamps with the clock of the poses, if most were taken before that clock was set."""
 PARTS_SHARE = 0.3
 """Parts of a scan are recorded within this share of the time to the next scan."""
 
@@ -30,18 +30,21 @@ def far_stamps(stamp_s: Array, log_s: Array, others: Sequence[Array] = ()) -> ND
     """Which stamps ``(N,)`` are far from the times of recording ``log_s (N,)``, compared with most of them.
 
     Stamps that go on from right ones without a jump are right: then the recording paused. ``others``: both times
-    ``(M, 2)`` of other messages, whose clock counts if most of these stamps have another one, but not all.
+    ``(M, 2)`` of poses, whose clock counts if most of these stamps have another one, steadily, but not all.
     """
     if not len(stamp_s):
         return np.zeros(0, bool)
     late_s = stamp_s - log_s
     off_s = np.abs(late_s - np.median(late_s))
     far: NDArray[np.bool_] = off_s > np.maximum(FAR_S, FAR_MADS * np.median(off_s))
-    for other_s, spread_s in map(_lateness, others):
-        is_near = np.abs(late_s - other_s) < FAR_S
-        is_another = abs(np.median(late_s) - other_s) > CLOCKS_APART_S and spread_s < STEADY_S
-        if is_another and is_near.mean() > RIGHT_SHARE:
-            far = ~is_near
+    clocks_s = [usual_s for usual_s, spread_s in map(_lateness, others) if spread_s < STEADY_S]
+    if all(abs(np.median(late_s) - clock_s) > CLOCKS_APART_S for clock_s in clocks_s):
+        for clock_s in clocks_s:
+            is_near = np.abs(late_s - clock_s) < FAR_S
+            off_s = late_s[~is_near]
+            is_set_once = np.median(np.abs(off_s - np.median(off_s))) < STEADY_S
+            if is_set_once and is_near.mean() > RIGHT_SHARE:
+                far = ~is_near
     run = np.cumsum(np.abs(np.diff(stamp_s, prepend=stamp_s[0])) > FAR_S)
     return far & ~np.isin(run, run[~far])
 
@@ -62,7 +65,7 @@ def ahead_of(one: Array, other: Array) -> tuple[float, bool]:
     (one_s, one_spread_s), (other_s, other_spread_s) = _lateness(one), _lateness(other)
     ahead_s, spread_s = one_s - other_s, max(one_spread_s, other_spread_s)
     is_sure = spread_s < STEADY_S and abs(ahead_s) > CLOCKS_APART_S
-    is_likely = spread_s < SPREAD_SHARE * abs(ahead_s) and abs(ahead_s) > LATE_S
+    is_likely = spread_s < SPREAD_SHARE * abs(ahead_s) and -ahead_s > LATE_S  # else the others are recorded late
     return (ahead_s if is_sure or is_likely else 0.0), is_sure
 
 

@@ -25,6 +25,9 @@ of a frame and those of the drone, if they are meant to be the same."""
 LEVEL = 0.2
 """Maximum sine between the horizontal and an axis that is level, as one across the image is; drones bank by more, but
 seldom longer."""
+Z_MIN = 0.45
+"""Minimum height of the z axis by which a pitched frame that is not called a link has x ahead: a camera with optical
+axes on its side, which looks up by less, has y level, too."""
 MOUNT_MAX_M = 10.0
 """Maximum distance of a sensor from the middle of its drone."""
 OPTICAL_ENDS = ("optical", "frame", "link", "center", "centre")
@@ -88,7 +91,7 @@ def sensor_frames(
     if mount is not None and len(seen) > 1:
         raise InputError(f"scans in frames {', '.join(seen)}: one mount does not hold for all; expected tf_static")
     way = tree.between(world, body) if world else None
-    if way and tree.is_static(way):
+    if way and tree.is_static(way) and not is_world_name(world):
         notes.append(f"poses are in {world}, a frame of the drone itself: they are taken for poses in the world")
         way = [body]
     chain = [*(way or filter(None, (world, body)))]
@@ -120,7 +123,7 @@ def sensor_frames(
         chain += [f"{main}, by the poses"] if is_world else placed[main].frames[1:]
     if (far_m := float(np.linalg.norm(T_mount[:3, 3]))) > MOUNT_MAX_M:
         notes.append(f"{main} is {far_m:.4g} m from {body}; expected the place of a sensor on a drone, in metres")
-    for other, T in tree.contradictions(body, tree.resolve(main, body)) if main in placed else ():
+    for other, T in dict(tree.contradictions(body, tree.resolve(main, body)) if main in placed else ()).items():
         notes.append(
             f"tf_static has two ways from {body} to {main}, {np.linalg.norm(T[:3, 3]):.2g} m and "
             f"{np.degrees(Rotation.from_matrix(T[:3, :3]).magnitude()):.1f}° apart; the shorter is used, not "
@@ -139,13 +142,13 @@ def _ahead(name: str, T_drone_frame: Array) -> tuple[str, str]:
     why, if that is to be noted.
 
     It is x if the frame stands upright and is called a link or aligned with the drone, or if it is pitched, which
-    leaves y level. Of optical axes, x is level.
+    leaves y level and z above the horizontal. Of optical axes, x is level.
     """
     is_link = bool({"link", "base", "body"} & set(_words(name)))
     if T_drone_frame[0, 2, 2] > UPRIGHT and (is_link or np.diag(T_drone_frame[0])[:3].min() > ALIGNED):
         return "x", "stands upright"
     x, y = np.median(np.abs(T_drone_frame[:, 2, :2]), axis=0)
-    z_min = -LEVEL if is_link else LEVEL  # of a camera with optical axes that looks ahead on its side, z is level, too
+    z_min = -LEVEL if is_link else Z_MIN
     if y < LEVEL < x and np.median(T_drone_frame[:, 2, 2]) > z_min:
         return "x", "is level along y"
     return "z", "does not stand upright" if is_link and not x < LEVEL < y else ""
@@ -157,7 +160,7 @@ def _is_of_world(tree: Tree, world: str, frames: tuple[str, ...]) -> bool:
 
     Raises `InputError` if it leads on to something else that moves.
     """
-    if world not in frames or tree.is_static(frames[: frames.index(world) + 1]):
+    if world not in frames or (tree.is_static(frames[: frames.index(world) + 1]) and not is_world_name(world)):
         return tree.moves(frames) and frames[-1] in tree.above(frames[0])
     beyond = list(frames[frames.index(world) :])
     if tree.moves(beyond) and beyond[-1] not in tree.above(world):

@@ -14,15 +14,15 @@ from steelnb.io.clocks import OF_BAG, ONE_CLOCK, ahead_of, far_stamps, rising_st
 from steelnb.io.containers import Container
 from steelnb.io.layouts import cloud_layout, depth_layout
 from steelnb.io.path_messages import PathMessages
-from steelnb.io.pose_rows import are_valid
+from steelnb.io.pose_rows import are_valid, jump_m
 from steelnb.io.scanning import Raw
 from steelnb.io.trajectories import trajectory_of
 from steelnb.io.transforms import STILL, Tree, frame_name
 
 STEP_SHARE_MIN = 0.05
 """Minimum interval of stamps, as a share of that of the times of recording; a simulation may be slow."""
-JUMP_M, JUMP_SHARE = 0.05, 0.5
-"""Poses jump to and fro if most are farther than this from the next, and much nearer to the one after it."""
+JUMP_M = 0.05
+"""Poses that jump to and fro by more are noted."""
 SWAPPED_SHARE, SWAPPED_BY = 0.05, 2
 """Messages are sorted if more than this share of stamps go back, as of two threads, and none by more places; a clock
 that is set back does so once."""
@@ -158,11 +158,8 @@ class Headers:
 
     def note_jumps(self, rows: Array, what: str) -> None:
         """Note if poses, ``rows (N, 8)``, jump to and fro from row to row."""
-        if len(rows) < 4:
-            return
-        next_m, second_m = (np.median(np.linalg.norm(rows[k:, 1:4] - rows[:-k, 1:4], axis=1)) for k in (1, 2))
-        if next_m > JUMP_M and second_m < JUMP_SHARE * next_m:
-            self.notes[f"{what} jumps {next_m:.2g} m to and fro: two programs may send it"] = None
+        if (apart_m := jump_m(rows)) > JUMP_M:
+            self.notes[f"{what} jumps {apart_m:.2g} m to and fro: two programs may send it"] = None
 
     def _right(self, rows: Array, what: str) -> Array:
         """Rows of stamp and values, of rows of stamp, time of recording and values, where stamps are right."""
@@ -170,7 +167,8 @@ class Headers:
         self.skipped[f"{what} whose stamp is far from the time of recording"] += int(far.sum())
         rows = rows[~far]
         order, back = np.argsort(rows[:, 0], kind="stable"), int((np.diff(rows[:, 0]) < 0).sum())
-        if back > SWAPPED_SHARE * len(rows) and np.abs(order - np.arange(len(order))).max() <= SWAPPED_BY:
+        is_swapped = back > SWAPPED_SHARE * len(rows) and np.abs(order - np.arange(len(order))).max() <= SWAPPED_BY
+        if is_swapped and not jump_m(rows[order][:, 1:]):  # of two programs one is kept
             self.skipped[f"{what} out of order, sorted by its stamp"] += back
             rows = rows[order]
         rising = rising_stamps(rows[:, 0], strictly=False)
@@ -181,7 +179,7 @@ class Headers:
         """Stamps of all scans, NaN where they are wrong, and times of recording."""
         rows = np.array(self._table[topic]).reshape(-1, 2)
         known = np.flatnonzero(~np.isnan(rows[:, 0]))
-        others = [self._times(key) for key in self._table if key != topic and not getattr(key, "is_static", False)]
+        others = [np.array(self._table[key]).reshape(-1, 9)[:, :2] for key in self._table if self._is_of_poses(key)]
         far = known[far_stamps(rows[known, 0], rows[known, 1], others)]
         if len(far):
             first = "{:.3f} s, recorded at {:.3f} s".format(*rows[far[0]])
@@ -197,10 +195,11 @@ class Headers:
             self.notes[note] = None
         return rows[:, 0], rows[:, 1]
 
-    def _times(self, key: Any) -> Array:
-        """Stamps and times of recording ``(N, 2)`` of poses, inertial samples or a transform."""
-        is_imu = not isinstance(key, Link) and self._bag.types[key[0]] == ros.IMU
-        return np.array(self._table[key]).reshape(-1, 8 if is_imu else 9)[:, :2]
+    def _is_of_poses(self, key: Any) -> bool:
+        """Whether a part of the table is of poses or of a transform of tf."""
+        if isinstance(key, Link):
+            return not key.is_static
+        return isinstance(key, tuple) and self._bag.types[key[0]] != ros.IMU
 
     def check_clocks(self, scans: str, others: Any, what: str) -> None:
         """Note or, if it is much, raise `InputError` if the stamps of the scans are ahead of those of ``others``, a
@@ -211,10 +210,10 @@ class Headers:
         how = f"{abs(ahead_s):.1f} s {'ahead of' if ahead_s > 0 else 'behind'} the {what} by the times of recording"
         shift, is_pose = f"{-ahead_s:.1f}", what == "poses"
         if is_sure:
-            remedy = ONE_CLOCK.format(shift, OF_BAG) if is_pose else f"expected one clock{OF_BAG}"
-            raise InputError(f"{self._bag.path}: scans are {how}; {remedy}")
+            remedy = ONE_CLOCK.format(shift, OF_BAG) if is_pose else f"expected one clock{OF_BAG}, or --mount"
+            raise InputError(f"scans are {how}; {remedy}")
         remedy = f" (--time-offset {shift})" if is_pose else ""
-        self.notes[f"scans are {how}: their clocks may differ{remedy}"] = None
+        self.notes[f"scans are {how}: they are late, or the clocks differ{remedy}"] = None
 
     def tree(self) -> Tree:
         """Transforms of tf_static and tf."""

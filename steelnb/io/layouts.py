@@ -25,6 +25,10 @@ PADDING_MAX = 64
 """Bytes that a driver may add to a row to align the next."""
 
 
+SMOOTHER = 0.5
+"""Points are read with another size than stated if neighbours in a row are then nearer to each other by this factor."""
+
+
 class Layout(NamedTuple):
     """How the bytes of a message are read: ``shape`` rows × columns, ``strides`` in bytes, ``order`` of the bytes, and
     ``notes`` on what contradicts the message."""
@@ -58,9 +62,9 @@ def cloud_layout(message: Any) -> Layout:
         notes.append(f"width {columns} is read as {size // step}, as row_step and the data say")
         columns = size // step
     each = size // (rows * columns)
-    if each > step and each % step and size == rows * columns * each == rows * row_step:
-        beyond = np.frombuffer(message.data, "u1").reshape(rows, row_step)[:, columns * step :]
-        if beyond.any():  # rows that are padded for alignment end in zeros
+    if each > step and each % step and size == rows * columns * each == rows * row_step:  # or rows are padded
+        steps_m = [_typical_step(fields, message.data, (rows, columns), (row_step, stride)) for stride in (step, each)]
+        if each % _bytes(fields[0]) == 0 and steps_m[1] < SMOOTHER * steps_m[0]:
             notes.append(f"point_step {step} is read as {each}, as row_step and the data say")
             step = each
     row_step, note = _row_step("row_step", row_step, rows, columns, step, size)
@@ -136,6 +140,14 @@ def _row_step(name: str, declared: int, rows: int, columns: int, step: int, size
     if declared >= tight and size > rows * declared and size % declared == 0 and size % rows:
         return declared, f"data are {size // declared - rows} rows longer than stated: the rest is left out"
     raise InputError(f"{name} {declared} and {size} bytes of data; expected {rows} rows of {tight} bytes or more")
+
+
+def _typical_step(fields: list[Any], data: Any, shape: tuple[int, int], strides: tuple[int, int]) -> float:
+    """Median distance between neighbours in the rows, read in the machine's order of bytes; NaN for one column."""
+    axes = [np.ndarray(shape, POINT_TYPES[field.datatype], data, field.offset, strides) for field in fields]
+    with np.errstate(invalid="ignore", over="ignore"):
+        apart = np.linalg.norm(np.diff(np.stack(axes).astype(float), axis=2), axis=0)
+    return float(np.median(apart[np.isfinite(apart)])) if np.isfinite(apart).any() else np.nan
 
 
 def _sample(field: Any, data: Any, shape: tuple[int, int], strides: tuple[int, int]) -> Array:

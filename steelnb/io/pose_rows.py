@@ -13,6 +13,9 @@ SPEED_MAX, FAR_M = 100.0, 20.0
 FAR_RUN, FAR_SHARE = 3, 0.1
 """So many poses in a row, and this share of all, or one, may be far off: more are another map, or in another unit."""
 
+JUMP_SHARE = 0.5
+"""Poses jump to and fro if most are nearer, by this share, to the one after the next than to the next."""
+
 
 def are_valid(rows: Array) -> NDArray[np.bool_]:
     """Which ``rows (N, 8)`` are finite and no farther than `COORDINATE_MAX_M`, with nearly unit quaternions."""
@@ -51,3 +54,11 @@ def _are_apart(rows: Array, others: Array) -> NDArray[np.bool_]:
     way_m, time_s = np.linalg.norm(others[:, 1:4] - rows[:, 1:4], axis=1), np.abs(others[:, 0] - rows[:, 0])
     apart: NDArray[np.bool_] = way_m > FAR_M + SPEED_MAX * time_s
     return apart
+
+
+def jump_m(rows: Array) -> float:
+    """Median distance of poses, ``rows (N, 4 or more)``, from the next, if they jump to and fro, else 0."""
+    if len(rows) < 4:
+        return 0.0
+    next_m, second_m = (np.median(np.linalg.norm(rows[k:, 1:4] - rows[:-k, 1:4], axis=1)) for k in (1, 2))
+    return float(next_m) if second_m < JUMP_SHARE * next_m else 0.0

@@ -461,10 +461,28 @@ def test_poses_that_are_not_the_drones_give_way_to_tf(bag, topic, frame, scale, 
 @pytest.mark.parametrize("mount_on", ["/tf_static", "/tf"])
 @pytest.mark.parametrize("beside", [False, True])
 def test_a_topic_with_the_name_of_a_goal_is_read_if_nothing_else_has_poses(bag, mount_on, beside):
-    bag.clouds().odometry("/goal", poses(5, seed=2)).tf("base_link", "tof", MOUNT, topic=mount_on)
+    bag.clouds().odometry("/goal", poses(5, seed=2), "", POSE_STAMPED, "map")
+    bag.tf("base_link", "tof", MOUNT, topic=mount_on)
     flight = read_flight((bag.odometry() if beside else bag).write())
     assert flight.facts["poses"] == ("/odom" if beside else "/goal")
     assert ("poses of /goal are left out: of a goal by its name" in flight.facts.get("notes", "")) == beside
+
+
+@pytest.mark.parametrize(
+    ("topic", "other", "child"),
+    [("/odom", "wand", "tof"), ("/odom", "base_link", "base_link"), ("/target/odom", "base_link", "base_link")],
+)
+def test_a_drone_that_stands_is_not_taken_for_another_that_flies_or_for_a_corrected_map(bag, topic, other, child):
+    """What moves on tf is a wand without the sensor, or a correction that jumps once."""
+    jump = np.tile(np.eye(4), (5, 1, 1))
+    jump[:, 0, 3] = np.linspace(0, 4, 5) if other == "wand" else 4.0 * (np.arange(5) > 2)
+    still = Trajectory(STAMPS, np.tile(np.eye(4), (5, 1, 1)))
+    bag.clouds(frame=child).odometry(topic, still).moving("map", other, Trajectory(STAMPS, jump))
+    if other != "wand":
+        bag.tf("base_link", "tof", MOUNT)
+    flight = read_flight(bag.write())
+    assert flight.facts["poses"] == topic
+    assert np.ptp(flight.prior.position, axis=0).max() == 0.0
 
 
 def test_odometry_of_a_drone_with_a_gimbal_on_tf_is_not_compared_with_it(bag):
