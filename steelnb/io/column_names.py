@@ -18,9 +18,14 @@ UNITS = {
 UNIT_OF = {word: unit for unit, words in UNITS.items() for word in words.split()}
 LENGTHS = {"m", "mm", "cm", "km", "ft", "in"}
 STATED = re.compile(
-    r"(?:^|[^\w\s]\s*|\b(?:length|linear|distance|coordinates?|xyz|map|model|points?|all|the|in)\s+)units?\b"
-    r"(?:\s+(?:of\s+(?:length|measure\w*)|are|is|in)\b)*\W*(?:(?:us|survey|international)[\s-]+)*([a-zµ]+)\b(?!\s*[/^])"
+    r"(?:^\W*|,\s*(?=units(?::| are))|\b(?:length|linear|distance|coordinates?|xyz|map|model|points?|all|the|in)\s+)"
+    r"units?\b(?:\s+(?:of\s+(?:length|measure\w*)|are|is|in)\b)*\W*(?:in\s+)?(?:(?:us|survey|international)[\s-]+)*"
+    r"([a-zµ]+)\b(?!\s*[-/^])"
 )
+OF_OTHERS = re.compile(
+    r"\b(?:range|intensity|resolution|spacing|voxel|sigma|scale|time)|\b(?:in|to) m(?:et(?:er|re)s)?\b"
+)
+"""Words of a line in which a unit is that of something else, or that names the metre, too."""
 """A unit in a sentence, where no word before it tells that it is one of ranges or times: "Units: US survey feet"."""
 STAMPS = (
     "(?:.*_)?header_stamp", "(?:time_?)?stamp", "time|t", "(?:unix|epoch)_(?:time|stamp|timestamp)",
@@ -75,7 +80,8 @@ def known_names(given: Iterable[str]) -> tuple[str, ...]:
 
 def check_stated(lines: Iterable[str]) -> None:
     """Raise ValueError if comments or titles state a unit of lengths, but not the metre."""
-    stated = {UNIT_OF.get(word, ""): line for line in lines for word in STATED.findall(line.lower())}
+    told = [line for line in lines if not OF_OTHERS.search(line.lower())]
+    stated = {UNIT_OF.get(word, ""): line for line in told for word in STATED.findall(line.lower())}
     other = [line for unit, line in stated.items() if unit in LENGTHS]
     if other and "m" not in stated:
         raise ValueError(f"{shown(other[0])} in its header; expected metres")

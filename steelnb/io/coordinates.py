@@ -13,18 +13,20 @@ from steelnb.core.types import Array
 STRAY_M, STRAY_DISTANCES, STRAY_SHARE = 1e4, 1000.0, 0.01
 """Points farther than both from the median point, in metres and in median distances, are strays if they are so few:
 such as zeros among the coordinates of a survey."""
-NO_RETURN, SAME_M = (0, 999, 9999, 99999, 32767, 32768), 1e-6
-"""Numbers, of either sign, that programs write where a coordinate is missing. Zeros are it in a survey only."""
+NO_RETURN, SAME_M, APART_M = (0, 999, 9999, 99999, 32767, 32768), 1e-6, 100.0
+"""Numbers, of either sign, that programs write where a coordinate is missing, and their least distance from others.
+Zeros are it in a survey only."""
 FARTHEST_M = 4e4
 """Points farther than this from the mean of all cannot be put into the voxels of a map."""
 STEP_MAX_M, FAR_FROM_ZERO_M, ROUNDED_POINTS = 0.02, 1e4, 100
 """Largest step between coordinates; those below the second are left as they are, as are few points."""
-DEGREE_EXTENTS, DEGREES_MIN, DEGREES_FROM_ZERO, DEGREES_WIDE = 1e3, 1e-6, 5000.0, 0.005
+DEGREE_EXTENTS, DEGREES_MIN, DEGREES_FROM_ZERO, DEGREES_WIDE = 1e3, 1e-6, 5000.0, 0.02
 """Coordinates in degrees extend over so many times less than heights in metres, but over more than rounding does, and
 are so many times their extent away from zero, as a thin tube is only if it stands far from the origin. No tube is as
-wide as the last and so many times taller; a site of half a kilometre is, in degrees."""
-LINES_COUNTED, TIME_MAX = 10, 1e19
-"""Minimum number of lines that tell what a first column is, and what no time exceeds, in nanoseconds."""
+wide as the last and so many times taller; a site of two kilometres is, in degrees."""
+LINES_COUNTED, TIME_MAX, OFTEN = 10, 1e19, 0.25
+"""Minimum number of lines that tell what a first column is, what no time exceeds, in nanoseconds, and the share of
+lines from which on a column changes often."""
 
 
 def is_stray(path: Path | str, points: Array) -> NDArray[np.bool_]:
@@ -40,7 +42,7 @@ def is_stray(path: Path | str, points: Array) -> NDArray[np.bool_]:
                 continue
             here = np.abs(values - value) < SAME_M
             if 1 < np.count_nonzero(here) < len(points) / 2:  # a single one may be a point
-                least_m = max(np.ptp(values[~here]), 0.0 if round(value) else STRAY_M)
+                least_m = max(np.ptp(values[~here]), APART_M if round(value) else STRAY_M)
                 is_missing |= here & (np.abs(values[~here] - value).min() > least_m)
     is_missing &= is_missing.mean() < 0.5
     kept = points[~is_missing]
@@ -94,8 +96,15 @@ def check_order(first: Array, more: Callable[[], Array]) -> None:
     axes, behind = has_decimals[:, leading : leading + 3], columns[:, 3:]
     if not 1 <= leading <= 3 or axes.shape[1] < 3 or (axes.mean(axis=0) <= 0.5).any():
         return
-    are_colours = leading < 3 or (columns[:, :3].min() >= 0 and columns[:, :3].max() < 256)
-    if are_colours and not (behind.shape[1] == 3 and np.abs(behind).max() <= 1):
+    are_normals = behind.shape[1] == 3 and np.abs(behind).max() <= 1
+    are_no_places = (
+        np.abs(columns[:, leading + 2]).max() <= 1 or np.abs(columns[:, leading + 2]).max() > COORDINATE_MAX_M
+    )
+    if leading == 1:  # an x of walls and profiles hardly changes from line to line
+        may_be_x = (np.diff(columns[:, 0]) != 0).mean() < OFTEN or are_no_places
+    else:
+        may_be_x = leading == 3 and (columns[:, :3].min() < 0 or columns[:, :3].max() > 255)
+    if not may_be_x and not are_normals:
         raise ValueError(f"its first column holds whole numbers, as of rows, intensities or classes; {expected}")
 
 

@@ -16,7 +16,7 @@ from steelnb.io.encodings import foreign_file
 from steelnb.io.opened import Opened, Walk
 from steelnb.io.stamped_names import NUMBER, stamps_of
 from steelnb.io.table_form import read_table
-from steelnb.io.trajectories import OUT_OF_ORDER, read_trajectory
+from steelnb.io.trajectories import MAY_BE_W_FIRST, OUT_OF_ORDER, read_trajectory
 
 TRUE = ("groundtruth.tum", "groundtruth.txt", "groundtruth.csv")
 OF_KITTI = "as numpy.save writes it of KITTI's numpy.fromfile(FILE, 'f4').reshape(-1, 4)"
@@ -44,7 +44,8 @@ def open_clouds(path: Path, scans: str | None, poses: str | None) -> Opened:
         files, stamp_s = [files[k] for k in by_stamp], stamp_s[by_stamp]
     else:
         stamp_s, named, source = prior.stamp_s, source, "in the order of their names"
-        dropped = f" ({skipped.total()} dropped)" if skipped.total() else ""
+        count = skipped.total() - skipped[MAY_BE_W_FIRST]
+        dropped = f" ({count} dropped)" if count else ""
         if len(prior) != len(files) or skipped[OUT_OF_ORDER]:
             order = f", {skipped[OUT_OF_ORDER]} of them out of order" if skipped[OUT_OF_ORDER] else dropped
             raise InputError(
@@ -75,7 +76,7 @@ def _other_files(folder: Path, suffixes: Sequence[str]) -> str:
     held = ", ".join(sorted({file.suffix or file.name for file in files})[:8]) or "nothing"
     wanted = f"{held}; expected files with suffix {', '.join(suffixes)}"
     for inner in filter(Path.is_dir, files):
-        if any(file.suffix.lower() in suffixes for file in inner.iterdir()) or len(_texts(inner)) > 1:
+        if any(file.suffix.lower() in suffixes for file in inner.iterdir()) or _texts(inner):
             return f"{wanted}, or the name of a folder in it (--scans {inner.name})"
     if any(folder.glob("*.bin")) or any(folder.glob("*/*.bin")):
         return f"{held}; .bin files do not say what is in them; expected .npy, {OF_KITTI}"
@@ -96,7 +97,7 @@ def _scans(folder: Path) -> tuple[list[Path], list[Path]]:
     for file in files:
         forms.setdefault(NUMBER.sub("#", file.stem) + file.suffix.lower(), []).append(file)
     no_tables = [file for file in files if file.suffix.lower() != ".csv"]
-    if not files and len(texts := _texts(folder)) > 1:
+    if not files and (texts := _texts(folder)):
         return texts, []
     if not no_tables and max(map(len, forms.values()), default=0) < 2:
         raise InputError(f"{folder}: no clouds in it, but {_other_files(folder, suffixes)}")
@@ -122,12 +123,19 @@ def _scans(folder: Path) -> tuple[list[Path], list[Path]]:
 
 
 def _texts(folder: Path) -> list[Path]:
-    """The clouds among text files, sorted by number: those whose names differ in numbers alone, if the first is no
-    trajectory. Trajectories and notes have this ending, too."""
+    """The clouds among text files, sorted by number: those whose names differ in numbers alone, if the first can be
+    read as one. Trajectories and notes have this ending, too."""
     files, forms = _by_number([file for file in folder.glob("[!.]*") if file.suffix.lower() == ".txt"]), Counter[str]()
-    forms.update(NUMBER.sub("#", file.stem) for file in files)
-    found = [file for file in files if forms[NUMBER.sub("#", file.stem)] == max(forms.values())]
-    return [] if any(map(_is_trajectory, found[:1])) else found
+    forms.update(form for file in files if "#" in (form := NUMBER.sub("#", file.stem)))
+    form, count = forms.most_common(1)[0] if forms else ("", 0)
+    found = [file for file in files if NUMBER.sub("#", file.stem) == form]
+    if count < 2 or _is_trajectory(found[0]):
+        return []
+    try:
+        read_points(found[0])
+    except InputError:
+        return []
+    return found
 
 
 def _by_number(files: Sequence[Path]) -> list[Path]:

@@ -20,6 +20,8 @@ COMPRESSED, COUNT_IN_1_4 = 0xC0, 255
 FLAGS, WITHHELD = 15, (0x80, 0x04)
 """Byte of a record with the bit of points that are not to be used (LAS 1.1 to 1.4), and this bit in the formats up to 5
 and from 6 on."""
+OTHER_FLAGS = 0x60
+"""The other two bits beside a class in the formats up to 5."""
 POINTS_PER_BYTE_MAX = 100
 """Compressed points take a few bytes each."""
 BLOCK = 1 << 20
@@ -62,7 +64,8 @@ def read_las(path: Path) -> Array:
     if file[25] >= 1:
         flags = np.frombuffer(points, np.uint8)[: count * stride].reshape(count, stride)[:, FLAGS]
         is_withheld = flags & WITHHELD[form > 5] > 0
-        xyz[is_withheld & (np.count_nonzero(is_withheld) < count / 2)] = np.nan  # else the byte has another meaning
+        are_classes = form < 6 and bool((flags & OTHER_FLAGS).any())  # some programs write classes up to 255 there
+        xyz[is_withheld & (not are_classes and np.count_nonzero(is_withheld) < count / 2)] = np.nan
     return xyz
 
 

@@ -97,7 +97,7 @@ def settled(source: PoseSource, headers: Headers, tree: Tree, sensor: str) -> Po
             raise InputError(f"{text}; expected the time of each (--clock bag: of recording)") from None
     topic = "" if source.uses_tf or source.is_named else next(iter(source.topics), "")
     objects = [*headers.objects(topic)] if topic else []
-    found = _carried(tree, sensor) if len(objects) == 1 else None
+    found = _carried(tree, sensor, tree.resolve(objects[0][0], sensor)) if len(objects) == 1 else None
     if found is None:
         return source
     (world, body, path), (frame, child) = found, objects[0]
@@ -121,9 +121,9 @@ def settled(source: PoseSource, headers: Headers, tree: Tree, sensor: str) -> Po
     return source
 
 
-def _carried(tree: Tree, sensor: str) -> tuple[str, str, Trajectory] | None:
+def _carried(tree: Tree, sensor: str, frame: str) -> tuple[str, str, Trajectory] | None:
     """World, frame and poses of the drone that carries the sensor on tf; None if there is none, or the world has no
-    usual name."""
+    usual name. The world is ``frame`` if it is one: odom may move in a map that is corrected."""
     if sensor not in tree.frames or not any(edge.moves for edge in tree.edges.values()):
         return None
     try:
@@ -131,6 +131,7 @@ def _carried(tree: Tree, sensor: str) -> tuple[str, str, Trajectory] | None:
         tree.notes.clear()  # they are of a choice that is not taken yet
         if not is_world_name(world) or is_world_name(body) or body not in tree.above(sensor):
             return None
+        world = frame if is_world_name(frame) and frame in tree.above(body) else world
         return world, body, tree.poses(world, body)
     except InputError:
         return None

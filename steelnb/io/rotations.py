@@ -7,8 +7,9 @@ from steelnb.core.types import Array
 
 ROTATION_TOLERANCE = 1e-2
 """Maximum error of rotation matrices, beyond which the numbers are something else."""
-UPRIGHT, UPRIGHT_SHARE = 0.7, 0.9
-"""Minimum height of a drone's z axis, and share of the poses that have it, by which it is upright."""
+UPRIGHT, UPRIGHT_SHARE, LEVEL = 0.7, 0.9, 0.2
+"""Minimum height of a drone's z axis, and share of the poses that have it, by which it is upright; and maximum height,
+in the median, of a sensor's z axis that is level."""
 
 
 def xyzw_of(rows: Array, columns: int) -> Array | None:
@@ -24,9 +25,15 @@ def xyzw_of(rows: Array, columns: int) -> Array | None:
 
 
 def w_is_first(quaternions: Array) -> bool | None:
-    """Whether a drone with ``quaternions (N, 4)`` is upright if they are w, x, y, z, and not if x, y, z, w; None if it
-    is so in both orders or in none."""
+    """Whether a drone with ``quaternions (N, 4)`` is upright if they are w, x, y, z, and in no usual attitude if they
+    are x, y, z, w: neither upright nor upside down, as with z down, nor with z level, as of a camera. None if it is
+    upright in both orders."""
     q = quaternions[np.isfinite(quaternions).all(axis=1) & quaternions.any(axis=1)]
-    z = [Rotation.from_quat(each).as_matrix()[:, 2, 2] for each in (q, q[:, [1, 2, 3, 0]])]
-    as_read, turned = ((each > UPRIGHT).mean() > UPRIGHT_SHARE if len(q) else False for each in z)
-    return None if as_read == turned else bool(turned)
+    if not len(q):
+        return False
+    as_read, turned = (Rotation.from_quat(each).as_matrix()[:, 2, 2] for each in (q, q[:, [1, 2, 3, 0]]))
+    if (turned > UPRIGHT).mean() <= UPRIGHT_SHARE:
+        return False
+    if (as_read > UPRIGHT).mean() > UPRIGHT_SHARE:
+        return None
+    return not ((as_read < -UPRIGHT).mean() > UPRIGHT_SHARE or np.median(np.abs(as_read)) < LEVEL)

@@ -16,9 +16,11 @@ OVERLAP_MIN, NS_DIGITS = 0.5, 16
 nanoseconds."""
 COUNT_SHARE = 0.1
 """Numbers after seconds count if, as decimals, they give a median interval of less than this share of the mean one."""
+EVENER = 0.5
+"""Digits without zeros before them are decimals of a second if they make the steps more even, by this factor."""
 FRACTIONS = {3: "ms", 6: "µs", 9: "ns"}
 NUMBER = re.compile(r"\d+(?:\.\d+)?")
-MEASURE = re.compile(r"\d+\.\d+(?!s)[A-Za-z]+")
+MEASURE = re.compile(r"(?<!\d)\d{1,7}\.\d+(?:C|m|cm|mm|km|kB|MB|GB|V|Hz)(?![A-Za-z])")
 """A number with decimals and a unit, such as 20.5C, is no stamp."""
 DATE = re.compile(
     r"(?<!\d)((?:19|20)\d\d)[-_.]?(\d\d)[-_.]?(\d\d)(?:[-_. T]*| at )(\d\d)[-_.:h]?(\d\d)[-_.:m]?(\d\d)s?"
@@ -33,24 +35,31 @@ def stamps_of(names: Sequence[str], prior: Trajectory) -> tuple[Array | None, st
 
     A stamp is a number with a decimal point, in seconds; an integer that is a Unix time in s, ms, µs or ns, or in one
     of these units fits the poses; or two integers, Unix seconds and their decimals. The last such number is chosen.
-    Date and time are Unix seconds where the poses have such, and else no stamp.
+    Date and time are Unix seconds if the poses are of that time, and else no stamp: many programs write local time.
     """
-    dates, is_unix = [_unix(name) or "" for name in names], unit_of_stamps(prior.stamp_s) == "s"
-    is_dated = all(dates)
-    if is_dated:
-        pairs = zip(names, dates if is_unix else [""] * len(names), strict=True)
-        names = [DATE.sub(date, name, count=1) for name, date in pairs]
+    dates = [_unix(name) or "" for name in names]
+    dated_s = np.array([float(date) for date in dates]) if all(dates) else None
+    is_of_poses = dated_s is not None and _fits(dated_s, prior)
+    if dated_s is not None:  # else the digits of a date are those of no stamp
+        names = [DATE.sub(date * is_of_poses, name, count=1) for name, date in zip(names, dates, strict=True)]
     numbers = [NUMBER.findall(MEASURE.sub("", name))[::-1] for name in names]
     columns = list(zip(*numbers, strict=False))  # the numbers of each place, the last first
     for column, before in zip(columns, [*columns[1:], None], strict=False):
-        for stamp_s, units in _readings(column, before, prior):
+        for stamp_s, units in _readings(column, before, prior, is_of_poses):
             step_s = np.diff(np.sort(stamp_s) if "." in column[0] else stamp_s)
             if not len(step_s) or ((step_s >= 0).all() and STEP_S[0] <= np.median(step_s) <= STEP_S[1]):
-                return stamp_s, f"stamped by their names ({'date and time, UTC' if is_dated and is_unix else units})"
-    return (
-        None,
-        "dates in their names, and none in the poses" if is_dated and not is_unix else "no stamps in their names",
-    )
+                is_date = dated_s is not None and np.abs(stamp_s - dated_s).max() < 1
+                return stamp_s, f"stamped by their names ({'date and time, UTC' if is_date else units})"
+    is_other = dated_s is not None and not is_of_poses
+    return None, f"{'dates of another time than the poses' if is_other else 'no stamps'} in their names"
+
+
+def _fits(stamp_s: Array, prior: Trajectory) -> bool:
+    """Whether stamps are of the time of the poses; if there are as many, which are pairs otherwise, of most of it."""
+    if unit_of_stamps(prior.stamp_s) != "s":
+        return False
+    share = _overlap(np.sort(stamp_s), prior.stamp_s)
+    return share > (OVERLAP_MIN if len(prior) == len(stamp_s) > 1 else 0.0)
 
 
 def _unix(name: str) -> str | None:
@@ -66,8 +75,12 @@ def _unix(name: str) -> str | None:
     return f"{seconds}.{decimals or more}" if decimals or more else str(seconds)
 
 
-def _readings(column: Sequence[str], before: Sequence[str] | None, prior: Trajectory) -> Iterator[tuple[Array, str]]:
-    """What the same number of all names, and the one before it, may mean: stamps in seconds, and their units."""
+def _readings(
+    column: Sequence[str], before: Sequence[str] | None, prior: Trajectory, is_dated: bool
+) -> Iterator[tuple[Array, str]]:
+    """What the same number of all names, and the one before it, may mean: stamps in seconds, and their units.
+
+    ``is_dated``: a date has become Unix seconds, after which numbers often count."""
     if any("." in number for number in column):
         stamp_s, units = _decimals(column)
         unix = unit_of_stamps(stamp_s)
@@ -81,11 +94,12 @@ def _readings(column: Sequence[str], before: Sequence[str] | None, prior: Trajec
     if before and digits and not any("." in number for number in before):
         seconds = np.array([float(number) for number in before])
         stamp_s = seconds + np.array(whole) / 10**digits
-        step_s = np.diff(stamp_s)
-        is_unix, is_padded = unit_of_stamps(seconds) == "s", widths == {digits}
+        step_s, second_s = np.diff(stamp_s), np.diff(seconds)
         is_count = len(whole) > 1 and (set(np.diff(whole)) == {1} or np.median(step_s) < COUNT_SHARE * np.mean(step_s))
-        is_time = is_unix or (_overlap(stamp_s, prior.stamp_s) > OVERLAP_MIN and (is_padded or max(widths) > 6))
-        if is_time and not is_count and (digits == 9 or np.ptp(seconds) > 0):
+        is_padded = widths == {digits} and (np.ptp(seconds) > 0 or not is_dated or digits == 9)
+        is_even = len(whole) > 2 and np.ptp(step_s) < EVENER * np.ptp(second_s)
+        is_time = unit_of_stamps(seconds) == "s" or _overlap(stamp_s, prior.stamp_s) > OVERLAP_MIN
+        if is_time and not is_count and (is_padded or max(widths) > 6 or is_even):
             yield stamp_s, f"s and {FRACTIONS[digits]}"
     unix = unit_of_stamps(np.array(whole, dtype=np.float64))
     sure = [unix or "", "ns" if min(widths) >= NS_DIGITS else ""]
@@ -106,7 +120,7 @@ def _decimals(column: Sequence[str]) -> tuple[Array, str]:
         return plain, "s"
     padded = np.array([int(whole) + int(part or 0) / 10**digits for whole, _, part in parts])
     uneven = [float(np.ptp(np.diff(np.sort(stamp_s)))) for stamp_s in (plain, padded)]
-    return (padded, f"s and {FRACTIONS[digits]}") if uneven[1] < 0.5 * uneven[0] else (plain, "s")
+    return (padded, f"s and {FRACTIONS[digits]}") if uneven[1] < EVENER * uneven[0] else (plain, "s")
 
 
 def _overlap(one_s: Array, other_s: Array) -> float:

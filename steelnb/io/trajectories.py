@@ -29,7 +29,7 @@ UNIX_S, STEP_MAX_S = (9e8, 4.3e9), 2.0
 stamps are not seconds, as a median speed above `SPEED_MAX` shows that positions or stamps have another unit."""
 QUATERNION_TOLERANCE = 0.05
 """Maximum error of the length of most quaternions, beyond which the numbers are something else."""
-IN_EUROC_FORM = "trajectory without names in EuRoC's form, which has w first; read as x, y, z, w"
+MAY_BE_W_FIRST = "trajectory as of EuRoC whose quaternions may begin with w; read as x, y, z, w"
 OUT_OF_ORDER = "pose out of order, sorted by its stamp"
 
 
@@ -109,7 +109,7 @@ def _tum(table: Table, skipped: Counter[str]) -> Array:
     orders = [table.said[k : k + 4] for k in range(3, len(table.said)) if table.said[k - 1].endswith("z")]
     is_said = ("qw", "qx", "qy", "qz") in orders and QUATERNION not in orders
     w_first = w_is_first(rows[:, 4:]) if is_euroc else is_said
-    skipped[IN_EUROC_FORM] += w_first is None
+    skipped[MAY_BE_W_FIRST] += w_first is None
     return rows[:, [0, 1, 2, 3, 5, 6, 7, 4]] if w_first else rows
 
 

@@ -30,7 +30,7 @@ def load_odometry(name: str) -> Callable[..., Odometry]:
     Raises `InputError` if module, class or its method `update` is missing, if the class is abstract, or if its
     constructor requires arguments other than `GIVEN`.
     """
-    module_name, _, class_name = name.rpartition(":")
+    module_name, _, class_name = name.rpartition(":") if ":" in name else (name, "", "")
     folder, file = Path.cwd(), Path(module_name).resolve() if module_name.endswith(".py") else None
     if file is not None:
         if not file.is_file():

@@ -97,7 +97,7 @@ def test_numbers_after_the_date_of_the_start_count(folder: Path, count: str, ste
     [
         (
             lambda k: dated(UNIX_S * 10**9 + k * 500_000_000, "%Y-%m-%d_%H-%M-%S.%f"),
-            "dates in their names, and none in",
+            "dates of another time than the poses",
         ),
         (lambda k: f"{k:04d}_{20 + 0.1 * k:.1f}C", "no stamps in their names"),
     ],
