@@ -10,9 +10,10 @@ from numpy.typing import NDArray
 from steelnb.core.kernels import njit
 from steelnb.core.types import Array
 from steelnb.points import VoxelMap, voxel_grid
+from steelnb.points.neighbours import advance, columns_of, gather
 from steelnb.points.surface_search import surfaces_of
 from steelnb.points.surfaces import Surfaces
-from steelnb.points.voxel_kernels import find, hash_table, offsets_within
+from steelnb.points.voxel_kernels import offsets_within
 
 TUBE_M, VOXEL_M = 0.06, 0.04
 """Radius of the tube that contains a bar's points, and edge of the voxels that accumulate the scans. These and the
@@ -67,52 +68,56 @@ def ridge_points(
     key, mean, weight, voxel_m = voxels.keys(), voxels.means(), voxels.weights(), voxels.voxel_m
     if hidden is not None:
         weight[hidden] = 0.0
-    table = hash_table(key, len(key))
+    order = np.argsort(key)
+    key, mean, weight = key[order], mean[order], weight[order]
     if sum_m > 0.0:
-        weight = _summed(key, weight, offsets_within(sum_m, voxel_m), *table)
-    is_ridge = _ridge(key, weight, offsets_within(radius_m, voxel_m), share_min, *table)
-    remaining = np.where(is_ridge, weight, 0.0)
-    around = offsets_within(contract_m + math.sqrt(3) * voxel_m, voxel_m)
-    return np.asarray(_contract(key, mean, remaining, around, contract_m, *table)[is_ridge])
+        weight = _summed(key, weight, columns_of(offsets_within(sum_m, voxel_m)))
+    is_ridge = _ridge(key, weight, columns_of(offsets_within(radius_m, voxel_m)), share_min)
+    around = columns_of(offsets_within(contract_m + math.sqrt(3) * voxel_m, voxel_m))
+    contracted = _contract(key[is_ridge], mean[is_ridge], weight[is_ridge], around, contract_m)
+    return np.asarray(contracted[np.argsort(order[is_ridge])])  # in the order of the map
 
 
 @njit(cache=True, nogil=True)
-def _summed(centre, weight, around, key, slot):  # type: ignore[no-untyped-def]
-    """Sum of the weights of the voxels around each voxel."""
-    total = np.zeros(len(weight))
-    for n in range(len(centre)):
-        for k in range(len(around)):
-            other = find(centre[n] + around[k], key, slot)
-            if other >= 0:
-                total[n] += weight[other]
+def _summed(key, weight, around):  # type: ignore[no-untyped-def]
+    """Sum of the weights of the voxels around each voxel; their keys are sorted."""
+    total = np.zeros(len(key))
+    first, last = np.zeros(len(around.low), np.int64), np.zeros(len(around.low), np.int64)
+    at, others = np.full(len(around.place), -1), np.empty(len(around.place), np.int64)
+    for n in range(len(key)):
+        advance(key, n, around, first, last)
+        for k in range(gather(key, n, around, first, last, at, others)):
+            total[n] += weight[others[k]]
     return total
 
 
 @njit(cache=True, nogil=True)
-def _ridge(centre, weight, around, share_min, key, slot):  # type: ignore[no-untyped-def]
+def _ridge(key, weight, around, share_min):  # type: ignore[no-untyped-def]
     """Mask of the voxels that are kept."""
     is_ridge = weight > 0.0
-    for n in range(len(centre)):
+    first, last = np.zeros(len(around.low), np.int64), np.zeros(len(around.low), np.int64)
+    for n in range(len(key)):
+        if not is_ridge[n]:
+            continue
         bound = weight[n] / share_min
-        for k in range(len(around)):
-            if not is_ridge[n]:
-                break
-            other = find(centre[n] + around[k], key, slot)
-            is_ridge[n] = other < 0 or weight[other] <= bound
+        advance(key, n, around, first, last)
+        for c in range(len(first)):
+            for k in range(first[c], last[c]):
+                is_ridge[n] &= weight[k] <= bound
     return is_ridge
 
 
 @njit(cache=True, nogil=True)
-def _contract(centre, mean, weight, around, radius, key, slot):  # type: ignore[no-untyped-def]
+def _contract(key, mean, weight, around, radius):  # type: ignore[no-untyped-def]
+    """Weighted means of the voxels within a radius of each voxel."""
     contracted = mean.copy()
-    for n in range(len(centre)):
-        if weight[n] == 0.0:
-            continue
+    first, last = np.zeros(len(around.low), np.int64), np.zeros(len(around.low), np.int64)
+    at, others = np.full(len(around.place), -1), np.empty(len(around.place), np.int64)
+    for n in range(len(key)):
+        advance(key, n, around, first, last)
         total = x = y = z = 0.0
-        for k in range(len(around)):
-            other = find(centre[n] + around[k], key, slot)
-            if other < 0 or weight[other] == 0.0:
-                continue
+        for k in range(gather(key, n, around, first, last, at, others)):
+            other = others[k]
             dx, dy, dz = mean[other, 0] - mean[n, 0], mean[other, 1] - mean[n, 1], mean[other, 2] - mean[n, 2]
             if dx * dx + dy * dy + dz * dz <= radius * radius:
                 w = weight[other]

@@ -6,7 +6,7 @@ import numpy as np
 
 from steelnb.core.kernels import njit
 from steelnb.points.moments import eigen
-from steelnb.points.voxel_kernels import find
+from steelnb.points.neighbours import advance, gather
 
 DISC = 3.5
 """Radius, in cells, of the disc that points must cover."""
@@ -17,22 +17,19 @@ ASIDE_MAX = 0.3
 
 
 @njit(cache=True, nogil=True)
-def local_planes(centre, mean, cell, reach, around, key, slot):  # type: ignore[no-untyped-def]
+def local_planes(key, mean, cell, reach, around):  # type: ignore[no-untyped-def]
     """Plane through the cells around each cell: a point of it ``(M, 3)``, its normal ``(M, 3)``, and whether it is
-    covered ``(M,)`` by those within ``reach`` of it. These alone determine a covered plane: steel stands on ground."""
-    count = len(centre)
+    covered ``(M,)`` by those within ``reach`` of it. These alone determine a covered plane: steel stands on ground. The
+    keys of the cells are sorted; ``around``: `Columns`."""
+    count = len(key)
     point, normal, inner = np.zeros((count, 3)), np.zeros((count, 3)), np.zeros(count, np.bool_)
-    others, is_covered = np.empty(len(around), np.int64), np.zeros(64, np.bool_)
-    full = math.pi * DISC * DISC
+    first, last = np.zeros(len(around.low), np.int64), np.zeros(len(around.low), np.int64)
+    at, others = np.full(len(around.place), -1), np.empty(len(around.place), np.int64)
+    is_covered, full = np.zeros(64, np.bool_), math.pi * DISC * DISC
     for n in range(count):
-        found = 0
-        for k in range(len(around)):
-            other = find(centre[n] + around[k], key, slot)
-            if other >= 0:
-                others[found] = other
-                found += 1
-        if found < COVERED_MIN * full:
+        if advance(key, n, around, first, last) < COVERED_MIN * full:
             continue
+        found = gather(key, n, around, first, last, at, others)
         sx, sy, sz, nx, ny, nz, ux, uy, uz = _plane(mean, n, others[:found])
         vx, vy, vz = ny * uz - nz * uy, nz * ux - nx * uz, nx * uy - ny * ux
         is_covered[:] = False

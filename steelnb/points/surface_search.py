@@ -51,9 +51,9 @@ def surfaces_of(voxels: VoxelMap, ridge: Array, cell_m: float) -> Surfaces:
 
     near_m = NEAR * cell_m
     for wider in COARSER:
+        label = label if wider == COARSER[0] else found.label_of(thin)
         found = found.extended(thin[is_sparse | (label >= 0)], wider * cell_m, near_m)
         found = found.extended(thin, wider * cell_m, near_m, is_level_or_in_rows)
-        label = found.label_of(thin)
     for wider in RINGS:
         found = found.extended(thin, wider * cell_m, near_m, is_ground_in_rings, NEW_RINGS_MIN)
     # Last, since what is sought in wider cells must be new.
@@ -86,9 +86,14 @@ def _lines_off(
 def _is_ground(surfaces: Surfaces, points: Array) -> NDArray[np.bool_]:
     """Whether each surface is level and the lowest ``(S,)``: at most `BELOW_MAX` of the ``points (N, 3)`` lie below it,
     by more than twice its band."""
-    is_ground, cells_of = surfaces.is_level, surfaces.cells
+    is_ground, cells_of, height = surfaces.is_level, surfaces.cells, points[:, 2]
     for k in np.flatnonzero(is_ground).tolist():
         cells = cells_of[k]
-        nearest = cKDTree(cells[:, :2]).query(points[:, :2])[1]
-        is_ground[k] = (points[:, 2] < cells[nearest, 2] - 2 * surfaces.band_m).mean() <= BELOW_MAX
+        bound = cells[:, 2] - 2 * surfaces.band_m
+        below, unsure = height < bound.min(), (height >= bound.min()) & (height < bound.max())
+        count, most = np.count_nonzero(below), np.count_nonzero(below | unsure)
+        if count / len(points) <= BELOW_MAX < most / len(points):
+            nearest = cKDTree(cells[:, :2]).query(points[unsure, :2])[1]
+            count += np.count_nonzero(height[unsure] < bound[nearest])
+        is_ground[k] = count / len(points) <= BELOW_MAX
     return is_ground

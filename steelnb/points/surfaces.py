@@ -11,8 +11,9 @@ from scipy.spatial import cKDTree
 from steelnb.core.graphs import connected
 from steelnb.core.types import Array, IntArray
 from steelnb.points.filters import voxel_grid
+from steelnb.points.neighbours import columns_of
 from steelnb.points.surface_kernels import DISC, local_planes
-from steelnb.points.voxel_kernels import hash_table, offsets_within
+from steelnb.points.voxel_kernels import offsets_within, pack
 from steelnb.points.voxel_map import VoxelMap
 
 NEAR = 1.2
@@ -80,11 +81,12 @@ class Surfaces:
         """
         voxels = VoxelMap(cell_m)
         voxels.insert(points)
-        mean, key = voxels.means(), voxels.keys()
-        around = offsets_within(DISC * cell_m, cell_m)
+        order = np.argsort(voxels.keys())
+        around = columns_of(offsets_within(DISC * cell_m, cell_m))
         near_m = near_m or NEAR * cell_m
-        point, normal, inner = local_planes(key, mean, cell_m, near_m, around, *hash_table(key, len(key)))
-        point, normal, band_m = point[inner], normal[inner], BAND / NEAR * near_m
+        point, normal, inner = local_planes(voxels.keys()[order], voxels.means(order), cell_m, near_m, around)
+        as_inserted = np.argsort(order[inner])
+        point, normal, band_m = point[inner][as_inserted], normal[inner][as_inserted], BAND / NEAR * near_m
         if not inner.any():
             return cls(np.zeros(0), point, normal, np.zeros(0), np.zeros(0, dtype=np.int64), band_m)
         pair = cKDTree(point).query_pairs(2 * cell_m, output_type="ndarray")
@@ -175,6 +177,8 @@ class Surfaces:
             if len(cells) and len(rest):
                 reach_m = reach_m[cells]
                 tree, far_m = cKDTree(self.point[cells]), float(reach_m.max())
+                # Neighbours one after the other find their part of the tree in the cache.
+                rest = rest[np.argsort(pack(*np.floor(points[rest] / far_m).astype(np.int64).T))]
                 distance, nearest = tree.query(points[rest], distance_upper_bound=far_m)
                 near = np.flatnonzero(distance < np.append(reach_m, 0.0)[nearest])
                 cell, near = cells[nearest[near]], rest[near]
