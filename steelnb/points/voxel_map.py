@@ -70,10 +70,12 @@ class VoxelMap:
         if weight.shape != (len(points),) or not ((weight > 0) & (weight < np.inf)).all():
             raise InputError(f"weight of shape {weight.shape}: expected ({len(points)},) positive numbers")
         needed = self._size + len(points)
-        while needed > len(self._key):
+        if needed > len(self._key):
             for name in ("_key", "_last_mark", "_moment", "_mean", "_around", "_shape", "_shape_mark"):
                 array = getattr(self, name)
-                setattr(self, name, np.concatenate([array, np.zeros_like(array)]))
+                larger = np.zeros((1 << (needed - 1).bit_length(), *array.shape[1:]), array.dtype)
+                larger[: self._size] = array[: self._size]
+                setattr(self, name, larger)
         if 2 * needed > len(self._table[0]):
             self._table = kernels.hash_table(self.keys(), needed)
         self._mark += 1
