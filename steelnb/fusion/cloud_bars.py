@@ -89,11 +89,8 @@ class CloudBars:
     @cached_property
     def is_off(self) -> NDArray[np.bool_]:
         """Whether each of the points on no surface lies on no bar ``(M,)``."""
-        is_off, half_m = np.ones(len(self.steel), dtype=bool), FIT_TUBES * np.maximum(0.5 * self.width_m, self.tube_m)
-        for bar in range(len(self.bars)):
-            own = self.bars.take(np.array([bar]))
-            is_off[is_off] = nearest_bar(self.steel[is_off], own, float(half_m[bar]), self.tube_m) < 0
-        return is_off
+        half_m = FIT_TUBES * np.maximum(0.5 * self.width_m, self.tube_m)
+        return np.asarray(nearest_bar(self.steel, self.bars, half_m, self.tube_m) < 0)
 
     @property
     def share_off(self) -> float:

@@ -72,11 +72,11 @@ def between_joints(bars: Segments, joint: Array, tie: IntArray, weak: NDArray[np
     The points of a short strut determine its direction to a few degrees only, while its joints lie on the axes of
     longer bars. A bar keeps its axis if its joints do not lie within `SAME_M` of both its ends.
     """
-    start, end = bars.start.copy(), bars.end.copy()
+    start, end, length, direction = bars.start.copy(), bars.end.copy(), bars.length, bars.direction
     for bar in np.flatnonzero(weak):
         tied = joint[tie[tie[:, 1] == bar, 0]]
-        along = (tied - bars.start[bar]) @ bars.direction[bar]
-        if len(tied) >= 2 and along.min() <= SAME_M and along.max() >= bars.length[bar] - SAME_M:
+        along = (tied - bars.start[bar]) @ direction[bar]
+        if len(tied) >= 2 and along.min() <= SAME_M and along.max() >= length[bar] - SAME_M:
             start[bar], end[bar] = tied[along.argmin()], tied[along.argmax()]
     return replace(bars, start=start, end=end)
 
@@ -113,6 +113,13 @@ def _meetings(start, direction, length, width, slack, reach):  # type: ignore[no
     pairs, positions, leads = [(0, 0)], [(0.0, 0.0)], [0.0]
     for i in range(len(length)):
         for j in range(i + 1, len(length)):
+            apart = 0.0
+            for k in range(3):  # scalar, since most pairs are rejected here
+                middle = start[j, k] + 0.5 * length[j] * direction[j, k]
+                apart += (middle - start[i, k] - 0.5 * length[i] * direction[i, k]) ** 2
+            near = slack + 0.5 * (width[i] + width[j])
+            if math.sqrt(apart) > 0.5 * (length[i] + length[j]) + near + 2.0 * max(BEND_M, LEAD_MAX_M) + 1e-6:
+                continue
             cosine = (direction[i] * direction[j]).sum()
             if abs(cosine) > BEND_MIN:
                 continue
@@ -133,7 +140,7 @@ def _meetings(start, direction, length, width, slack, reach):  # type: ignore[no
                 t = min(max(f + cosine * s, -lead), length[j] + lead)
                 s = min(max(cosine * t - c, -lead), length[i] + lead)
             gap = start[i] + s * direction[i] - (start[j] + t * direction[j])
-            if math.sqrt((gap * gap).sum()) > slack + 0.5 * (width[i] + width[j]):
+            if math.sqrt((gap * gap).sum()) > near:
                 continue
             pairs.append((i, j))
             positions.append((s, t))

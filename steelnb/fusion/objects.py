@@ -12,6 +12,7 @@ from steelnb.fusion.candidates import beyond_ends
 from steelnb.fusion.joints import REACH_M
 from steelnb.fusion.ridges import TUBE_M
 from steelnb.hough.whole_structure.search import within
+from steelnb.points.voxel_kernels import pack
 
 APART, BESIDE = 2.0, 1.8
 """Edge of the cells of an object, in radii of the tube; and the maximum distance of neighbours, in cells."""
@@ -40,22 +41,19 @@ def objects_of(points: Array, cell_m: float) -> IntArray:
     """Number of the object of each point ``(N,)``: what hangs together in cells of this edge."""
     if not len(points):
         return np.zeros(0, dtype=np.int64)
-    cells, cell = np.unique(np.floor(points / cell_m), axis=0, return_inverse=True)
-    pair = cKDTree(cells).query_pairs(BESIDE, output_type="ndarray")
-    return connected(pair, len(cells))[cell.ravel()]
+    cells = np.floor(points / cell_m)
+    _, one, cell = np.unique(pack(*cells.astype(np.int64).T), return_index=True, return_inverse=True)
+    pair = cKDTree(cells[one]).query_pairs(BESIDE, output_type="ndarray")
+    return connected(pair, len(one))[cell]
 
 
 def at_bars(bars: Segments, tube_m: float, these: NDArray[np.bool_] | None = None) -> NDArray[np.bool_]:
     """Whether each end of each bar, extended a little, meets another bar, or another of ``these (B,)``: ``(B, 2)``."""
-    number, these = np.arange(len(bars)), np.ones(len(bars), dtype=bool) if these is None else these
+    these = np.ones(len(bars), dtype=bool) if these is None else these
     beyond = beyond_ends(bars, REACH_M / TUBE_M * tube_m, 0.5 * tube_m)
-    meets = [
-        within(beyond[:, :, k].reshape(-1, 3), bars.take(these & (number != k)), 1.5 * tube_m)
-        .reshape(2, -1)
-        .any(axis=1)
-        for k in number
-    ]
-    return np.array(meets, dtype=bool).reshape(len(bars), 2)
+    owner = np.broadcast_to(np.where(these, np.cumsum(these) - 1, -1), beyond.shape[:3])
+    meets = within(beyond.reshape(-1, 3), bars.take(these), 1.5 * tube_m, owner.ravel())
+    return np.asarray(meets.reshape(owner.shape).any(axis=1).T)
 
 
 def in_structures(

@@ -8,23 +8,18 @@ proposal is grown through the whole cloud. Then its points are removed, which lo
 share them.
 """
 
-import itertools
 import math
 
 import numpy as np
 from numpy.typing import NDArray
 
 from steelnb.core.kernels import njit
-from steelnb.core.types import Array, Segments
-from steelnb.hough.segments import GAP, detect_segments
+from steelnb.core.types import Array, IntArray, Segments
+from steelnb.hough.segments import GAP
+from steelnb.hough.whole_structure.blocks import LENGTH, PCA_RATIO, SHIFTS, propose
 from steelnb.hough.whole_structure.cubes import Line, sort_into_cubes, walk
 from steelnb.hough.whole_structure.growth import fit_run, grow, make_buffers, run_along, trim
 
-BLOCK = 12.0
-"""Edge of a block in dx. Directions 8° apart (granularity 3) then miss the ends of a line by up to dx/2."""
-GRANULARITY = 3
-LENGTH, PCA_RATIO = 5.0, 0.9
-"""Bounds of a segment: minimum length in dx, minimum share of the variance along it."""
 RING_WEIGHT = 0.75
 """Weight of a point in the ring from dx to 2 dx. At 1 a planar surface scores zero, but so do bars whose points scatter
 by dx: on ten surveyed towers, 1 loses up to 60 % of the points that 0.75 explains. At 0.5, a third of a tower jittered
@@ -33,8 +28,6 @@ MIN_VOTES = 8
 """Minimum number of points of a bar."""
 EXCLUDE_DX = 1.25
 """Points within this many dx of a chosen segment are removed, so that wide bars are not found twice."""
-SHIFTS = ((0, 0, 0), (1, 1, 0), (1, 0, 1), (0, 1, 1), (1, 1, 1), (0, 0, 1), (0, 1, 0), (1, 0, 0))
-"""Shifts of the grids of blocks, in half blocks."""
 
 
 def segment_structure(
@@ -63,41 +56,17 @@ def segment_structure(
     return Segments(ends[:, :3], ends[:, 3:], count, radius)
 
 
-def within(points: Array, segments: Segments, distance: float) -> NDArray[np.bool_]:
-    """Whether each of the points ``(N, 3)`` lies within ``distance`` metres of a segment: ``(N,)``."""
-    near = np.zeros(len(points), dtype=np.bool_)
+def within(points: Array, segments: Segments, distance: float, owner: IntArray | None = None) -> NDArray[np.bool_]:
+    """Whether each of the points ``(N, 3)`` lies within ``distance`` metres of a segment: ``(N,)``. That of the number
+    ``owner (N,)`` does not count."""
+    near, owner = np.zeros(len(points), dtype=np.bool_), np.full(len(points), -1) if owner is None else owner
     cubes = sort_into_cubes(np.asarray(points), distance)
-    near[cubes.order] = _mark(cubes, segments.start, segments.direction, segments.length, distance)
+    near[cubes.order] = _mark(cubes, segments.start, segments.direction, segments.length, distance, owner[cubes.order])
     return near
 
 
-def propose(points: Array, dx: float, min_votes: int, length_min: float, grids: int) -> Segments:
-    """Segments of every block, for `segment_structure`. The bounds are looser: a block may hold only part of a bar."""
-    edge = BLOCK * dx
-    low = points.min(axis=0)
-    found = [Segments.empty()]
-    for shift in SHIFTS[:grids]:
-        block = np.floor((points - low) / edge + 0.5 * np.array(shift)).astype(np.int64)
-        order = np.lexsort(block.T[::-1])
-        new = (np.diff(block[order], axis=0) != 0).any(axis=1)
-        bounds = np.concatenate([[0], np.flatnonzero(new) + 1, [len(points)]])
-        for first, last in itertools.pairwise(bounds):
-            block_points = points[order[first:last]]
-            if (
-                len(block_points) >= 0.75 * min_votes
-                and np.linalg.norm(np.ptp(block_points, axis=0)) > (length_min - 1) * dx
-            ):
-                found.append(
-                    detect_segments(
-                        block_points, dx=dx, min_votes=max(2, int(0.75 * min_votes)), granularity=GRANULARITY,
-                        pca_ratio_min=PCA_RATIO - 0.1, density_min=0.7 / dx, length_min=(length_min - 1) * dx,
-                    )
-                )  # fmt: skip
-    return Segments.joined(found)
-
-
 @njit(cache=True)
-def _mark(cubes, start, direction, length, distance):
+def _mark(cubes, start, direction, length, distance, owner):
     hit = np.zeros(len(cubes.px), dtype=np.bool_)
     visited, near = np.zeros(len(cubes.first), np.int64), np.empty(len(cubes.px), np.int64)
     for k in range(len(length)):
@@ -107,7 +76,7 @@ def _mark(cubes, start, direction, length, distance):
             x, y, z = cubes.px[i] - sx, cubes.py[i] - sy, cubes.pz[i] - sz
             t = min(max(x * ux + y * uy + z * uz, 0.0), length[k])
             x, y, z = x - t * ux, y - t * uy, z - t * uz
-            if x * x + y * y + z * z <= distance * distance:
+            if owner[i] != k and x * x + y * y + z * z <= distance * distance:
                 hit[i] = True
     return hit
 

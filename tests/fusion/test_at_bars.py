@@ -1,0 +1,37 @@
+"""Points and ends at many bars at once, against one bar after the other."""
+
+import numpy as np
+import pytest
+
+from steelnb.fusion.candidates import beyond_ends
+from steelnb.fusion.joints import REACH_M
+from steelnb.fusion.objects import at_bars
+from steelnb.fusion.ridges import TUBE_M
+from steelnb.hough.freedom import nearest_bar
+from steelnb.hough.whole_structure.search import within
+from tests.fusion.made import bars_of
+
+
+@pytest.mark.kernels
+def test_each_bar_has_its_own_distance() -> None:
+    rng = np.random.default_rng(1)
+    points, bars = rng.uniform(-1, 1, (200, 3)), bars_of(*rng.uniform(-1, 1, (5, 2, 3)))
+    distance = np.array([0.5, 0.1, 0.3, 0.2, 0.4])
+    label = nearest_bar(points, bars, distance, 0.1)
+    alone = [nearest_bar(points, bars.take(np.array([k])), float(distance[k]), 0.1) == 0 for k in range(5)]
+    np.testing.assert_array_equal(label >= 0, np.any(alone, axis=0))
+    assert all(alone[k][n] for n, k in enumerate(label) if k >= 0)
+    assert set(label) == {-1, 0, 1, 2, 3, 4}
+
+
+@pytest.mark.kernels
+@pytest.mark.parametrize("some", [False, True])
+def test_an_end_meets_others_but_not_its_own_bar(some: bool) -> None:
+    rng = np.random.default_rng(2)
+    bars, number = bars_of(*rng.uniform(-0.5, 0.5, (12, 2, 3))), np.arange(12)
+    these = number % 3 > 0 if some else np.ones(12, dtype=bool)
+    beyond = beyond_ends(bars, REACH_M, 0.5 * TUBE_M)
+    others = [bars.take(these & (number != k)) for k in number]
+    meets = [within(beyond[:, :, k].reshape(-1, 3), others[k], 1.5 * TUBE_M).reshape(2, -1).any(axis=1) for k in number]
+    np.testing.assert_array_equal(at_bars(bars, TUBE_M, these if some else None), meets)
+    assert 0 < np.mean(meets) < 1
