@@ -92,9 +92,11 @@ def split_bends(points: Array, bars: Segments, tube_m: float = TUBE_M, share_max
     their squared distances.
     """
     label, is_straight, bends = nearest_bar(points, bars, tube_m, 0.0), np.ones(len(bars), dtype=bool), []
-    for b in np.flatnonzero(bars.length > 2 * TUBE_M / math.tan(math.acos(BEND_MAX))):
-        offset, length = points[label == b] - bars.start[b], bars.length[b]
-        along, place = offset @ bars.direction[b], BEND_PLACES * length
+    own = np.argsort(label, kind="stable")
+    first, lengths, directions = np.searchsorted(label[own], np.arange(len(bars) + 1)), bars.length, bars.direction
+    for b in np.flatnonzero(lengths > 2 * TUBE_M / math.tan(math.acos(BEND_MAX))):
+        offset, length = points[own[first[b] : first[b + 1]]] - bars.start[b], lengths[b]
+        along, place = offset @ directions[b], BEND_PLACES * length
         # The lines are linear in the position along the bar and in that beyond the bend.
         basis = np.stack(np.broadcast_arrays(1.0, along, np.maximum(along - place[:, None], 0.0)), axis=2)
         straight, fits = (np.linalg.pinv(each) @ offset for each in (basis[0, :, :2], basis))
@@ -146,10 +148,8 @@ def _joined(bars: Segments, fate: IntArray) -> Segments:
     """The remaining bars, each joined with the pieces that ``fate`` assigns to it."""
     remaining = np.flatnonzero(fate == np.arange(len(bars)))
     joined = bars.take(remaining)
-    for k, bar in enumerate(remaining):
-        pieces = bars.take(np.flatnonzero(fate == bar))
-        if len(pieces) == 1:
-            continue
+    for k in np.flatnonzero(np.bincount(fate[fate >= 0])[remaining] > 1):
+        pieces = bars.take(np.flatnonzero(fate == remaining[k]))
         weight = pieces.count / pieces.count.sum()
         mean = weight @ pieces.middle
         offset, half_run = pieces.middle - mean, 0.5 * (pieces.end - pieces.start)
