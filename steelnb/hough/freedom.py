@@ -53,7 +53,9 @@ def freedom_of(points: Array, segments: Segments, half_m: Array, free_min: float
     and none is free: so those with ``free_min`` are found with all points first, then more of them without the points
     on those found. ``half_m (S,)``: half-widths, metres.
     """
-    widest_m, around = float(half_m.max(initial=0.0)), []
+    if not len(segments):
+        return np.zeros(0)
+    widest_m, around = float(half_m.max()), []
     owner, cubes = nearest_bar(points, segments, widest_m, 0.0), sort_into_cubes(points, REACH * widest_m)
     visited, buffer = np.zeros(len(cubes.first), np.int64), np.empty(len(points), np.int64)
     for start, direction, length, half in zip(segments.start, segments.direction, segments.length, half_m, strict=True):
