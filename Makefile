@@ -17,7 +17,7 @@ export PYTHONDONTWRITEBYTECODE =
 # `workflow` is beside the package, not in it.
 export PYTHONPATH = .
 
-.PHONY: help setup reproduce study smoke test plain bits lint check docs train lab lock clean
+.PHONY: help setup reproduce study rows smoke test plain bits lint check docs train lab lock clean
 .DEFAULT_GOAL := help
 
 help:  ## list the targets
@@ -49,6 +49,11 @@ check: $(READY)  ## run every notebook from scratch and compare metrics and tabl
 
 study: $(READY)  ## run what is missing of notebooks/study.toml and write results/study/ (from scratch: 7 hours on two cores)
 	@$(BIN)/steelnb study notebooks/study.toml -o results/study
+
+# Each step skips what is up to date, or cached.
+rows: study  ## fly every row of README's table: the study, twenty draws of the report's plots, and ours on its flights (8 hours)
+	@$(BIN)/python -m workflow reproduce segmentation-odometry-draws cloud-odometry-draws accuracy honest-sensors
+	@STEELNB_CACHE=.cache/rows $(BIN)/python benchmarks/report.py --parts ours
 
 test: $(READY)  ## run linters, type checks, import contracts and all tests, with the notebooks that are not up to date at the smoke budget, on two workers
 	@$(MAKE) --no-print-directory --jobs=2 --output-sync lint plain

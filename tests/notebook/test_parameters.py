@@ -185,9 +185,9 @@ def cell_of(path: Path) -> str:
 
 def test_a_reader_s_own_edits_are_checked_against_the_committed_cell(shell: InteractiveShell) -> None:
     source = cell_of(next(path for path in NOTEBOOKS if path.stem.startswith("02")))
-    run(shell, source.replace("draws = 3", "draws = 2 + 1"))
+    run(shell, source.replace("draws = 4", "draws = 2 + 2"))
     parameters.validate()
-    run(shell, source.replace("draws = 3", 'draws = "four"'))
+    run(shell, source.replace("draws = 4", 'draws = "four"'))
     with pytest.raises(InputError, match="draws = 'four'"):
         parameters.validate()
 
