@@ -83,7 +83,7 @@ def no_exit(what: str, expected: str = "no exit") -> Iterator[None]:
 
 def _check_constructor(own: Callable[..., Odometry], name: str) -> None:
     """Raise `InputError` if a class is abstract, or if its constructor requires arguments other than `GIVEN`."""
-    if missing := getattr(own, "__abstractmethods__", ()):
+    if missing := getattr(own, "__abstractmethods__", ()) or ["update"] * getattr(own, "_is_protocol", False):
         raise InputError(f"{name}: an abstract class; expected one with {', '.join(sorted(missing))}")
     needed = {each for each in _parameters(own) if each.default is each.empty and "VAR" not in each.kind.name}
     if unknown := sorted(each.name for each in needed if each.name not in GIVEN or each.kind not in BY_NAME):

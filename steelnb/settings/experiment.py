@@ -169,7 +169,12 @@ class ExperimentSettings(Settings):
             settings = settings.override({"broken_off_s": plot.broken_off_s})
         given = {"noise": noise, "seed": seed, "duration_s": duration_s, "tower": tower}
         check_given_once(overrides, {"trajectory": settings.flight.trajectory, **given})
-        return settings.override(overrides)
+        settings = settings.override(overrides)
+        rate_hz = overridden(overrides, "tof.rate_hz", None)
+        if rate_hz is not None and settings.tof.samples:
+            what = "the scans are those of the report's plot; leave it out, or give tof.samples = [], too"
+            raise InputError(f"tof.rate_hz = {shown(rate_hz)}: {what}")
+        return settings
 
     @classmethod
     def table_of(cls, name: str) -> str:

@@ -415,3 +415,10 @@ def test_a_sensors_file_is_in_utf_8_with_or_without_a_byte_order_mark(tmp_path, 
     else:
         with pytest.raises(InputError, match=r"mine\.toml: text that is not UTF-8; expected .*, saved as UTF-8"):
             TofSettings.preset(tmp_path / "mine.toml")
+
+
+def test_a_rate_of_scans_that_the_reports_plot_has_is_refused():
+    with pytest.raises(InputError, match=r"tof.rate_hz = 10.0: the scans are those of the report's plot; leave it out"):
+        ExperimentSettings.report("3.5", "vertical", "gicp", overrides={"tof.rate_hz": 10.0})
+    own = ExperimentSettings.report("3.5", "vertical", "gicp", overrides={"tof": {"rate_hz": 10.0, "samples": []}})
+    assert own.tof.rate_hz == 10.0
