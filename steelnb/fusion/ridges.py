@@ -68,14 +68,14 @@ def ridge_points(
     key, mean, weight, voxel_m = voxels.keys(), voxels.means(), voxels.weights(), voxels.voxel_m
     if hidden is not None:
         weight[hidden] = 0.0
-    order = np.argsort(key)
+    order = np.argsort(key, kind="stable")  # the same on every processor: keys differ, and it has no vector code
     key, mean, weight = key[order], mean[order], weight[order]
     if sum_m > 0.0:
         weight = _summed(key, weight, columns_of(offsets_within(sum_m, voxel_m)))
     is_ridge = _ridge(key, weight, columns_of(offsets_within(radius_m, voxel_m)), share_min)
     around = columns_of(offsets_within(contract_m + math.sqrt(3) * voxel_m, voxel_m))
     contracted = _contract(key[is_ridge], mean[is_ridge], weight[is_ridge], around, contract_m)
-    return np.asarray(contracted[np.argsort(order[is_ridge])])  # in the order of the map
+    return np.asarray(contracted[np.argsort(order[is_ridge], kind="stable")])  # in the order of the map
 
 
 @njit(cache=True, nogil=True)

@@ -21,7 +21,7 @@ class Columns(NamedTuple):
 
 def columns_of(offsets: IntArray) -> Columns:
     """The columns of the ``offsets (K,)`` of a ball."""
-    place = np.argsort(offsets)
+    place = np.argsort(offsets, kind="stable")
     ordered = offsets[place]
     begin = np.flatnonzero(np.diff(ordered, prepend=ordered[0] - 2) != 1)
     return Columns(ordered[begin], ordered[np.append(begin[1:], len(ordered)) - 1], begin, place)

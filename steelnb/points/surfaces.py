@@ -81,11 +81,11 @@ class Surfaces:
         """
         voxels = VoxelMap(cell_m)
         voxels.insert(points)
-        order = np.argsort(voxels.keys())
+        order = np.argsort(voxels.keys(), kind="stable")
         around = columns_of(offsets_within(DISC * cell_m, cell_m))
         near_m = near_m or NEAR * cell_m
         point, normal, inner = local_planes(voxels.keys()[order], voxels.means(order), cell_m, near_m, around)
-        as_inserted = np.argsort(order[inner])
+        as_inserted = np.argsort(order[inner], kind="stable")
         point, normal, band_m = point[inner][as_inserted], normal[inner][as_inserted], BAND / NEAR * near_m
         if not inner.any():
             return cls(np.zeros(0), point, normal, np.zeros(0), np.zeros(0, dtype=np.int64), band_m)
@@ -178,7 +178,7 @@ class Surfaces:
                 reach_m = reach_m[cells]
                 tree, far_m = cKDTree(self.point[cells]), float(reach_m.max())
                 # Neighbours one after the other find their part of the tree in the cache.
-                rest = rest[np.argsort(pack(*np.floor(points[rest] / far_m).astype(np.int64).T))]
+                rest = rest[np.argsort(pack(*np.floor(points[rest] / far_m).astype(np.int64).T), kind="stable")]
                 distance, nearest = tree.query(points[rest], distance_upper_bound=far_m)
                 near = np.flatnonzero(distance < np.append(reach_m, 0.0)[nearest])
                 cell, near = cells[nearest[near]], rest[near]
