@@ -72,6 +72,7 @@ lint: $(READY)
 	@$(BIN)/ruff format --check .
 	@$(BIN)/mypy
 	@$(BIN)/lint-imports
+	@$(BIN)/python scripts/duplicate-names
 
 docs: $(READY)  ## build the offline pages with every executed notebook: docs/_build/html/index.html (BUDGET=full: all as published)
 	@$(BIN)/python -m workflow pages $(if $(BUDGET),--budget "$(BUDGET)")

@@ -70,15 +70,5 @@ def widths_of(points: Array, bars: Segments) -> Array:
         if len(own):
             offset = own - bars.start[bar]
             across = offset - (offset @ direction[bar])[:, None] * direction[bar]
-            width_m[bar] = 2 * _quantile(np.linalg.norm(across, axis=1), HALF_WIDTH_SHARE)
+            width_m[bar] = 2 * np.quantile(np.linalg.norm(across, axis=1), HALF_WIDTH_SHARE)
     return width_m
-
-
-def _quantile(values: Array, share: float) -> float:
-    """`numpy.quantile` of values ``(N,)``, to the bit: for thousands of short arrays, its checks take most of the
-    time."""
-    at = (len(values) - 1) * share
-    below, above = math.floor(at), math.ceil(at)
-    ordered, part = np.partition(values, (below, above)), at - below
-    low, high = ordered[below], ordered[above]
-    return float(low + (high - low) * part if part < 0.5 else high - (high - low) * (1 - part))

@@ -165,20 +165,14 @@ def filter_pieces(px, py, pz, order, piece, pca_ratio_min, radius_max, density_m
 
 
 @njit(cache=True)
-def assign(px, py, pz, start, direction, length, distance, end_margin):
-    """Nearest axis of each point, −1 if none is within ``distance``, and number of points within it, per axis."""
-    label, count = np.full(len(px), -1, np.int64), np.zeros(len(length), np.int64)
-    least = np.full(len(px), distance * distance)
+def counts_near(px, py, pz, start, direction, length, distance):
+    """Number of points within ``distance`` of each axis."""
+    count = np.zeros(len(length), np.int64)
     for k in range(len(length)):
         sx, sy, sz = start[k, 0], start[k, 1], start[k, 2]
         ux, uy, uz = direction[k, 0], direction[k, 1], direction[k, 2]
-        last = length[k] + end_margin
         for i in range(len(px)):
             x, y, z = px[i] - sx, py[i] - sy, pz[i] - sz
             t = x * ux + y * uy + z * uz
-            squared = x * x + y * y + z * z - t * t
-            if squared <= distance * distance and -end_margin <= t <= last:
-                count[k] += 1
-                if squared < least[i]:
-                    least[i], label[i] = squared, k
-    return label, count
+            count[k] += x * x + y * y + z * z - t * t <= distance * distance and 0.0 <= t <= length[k]
+    return count

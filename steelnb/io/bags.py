@@ -20,7 +20,7 @@ from steelnb.io.frames import Frames, drone_axes, sensor_frames, world_axes
 from steelnb.io.headers import Headers
 from steelnb.io.inertial import readings_of
 from steelnb.io.opened import Opened, joined_parts
-from steelnb.io.pose_sources import PoseSource, pose_source, settled
+from steelnb.io.pose_sources import PoseSource, drone_on_tf, pose_source, settled
 from steelnb.io.scanning import Raw
 from steelnb.io.topics import imu_topics, scan_topic
 from steelnb.io.trajectories import check_units, read_trajectory, trajectory_of
@@ -95,7 +95,7 @@ class _Bag:
             self.headers.notes[f"{count} messages are {len(groups)} scans: those of one stamp are one"] = None
         self.headers.notes |= dict.fromkeys(source.notes)
         lost = ["what is whole is read"] if self.bag.notes else []
-        notes = [*self.bag.notes, *lost, *self.bag.left_out, *self.headers.notes, *tree.notes, *frames.notes]
+        notes = [*self.bag.notes, *lost, *self.bag.left_out, *self.headers.notes, *frames.notes]
         facts |= {"notes": "; ".join(notes)} if notes else {}
         walk, first = partial(self._walk, topic, cameras, frames, groups), [group[0] for group in groups]
         return Opened(frames.stamp_s[first], walk, prior, frames.T_drone_sensor, facts, readings, self.headers.skipped)
@@ -104,9 +104,9 @@ class _Bag:
         self, scans: str, tree: Tree, world: str, body: str, sensor: str, frames: Frames, stamp_s: Array
     ) -> None:
         """Raise `InputError` if no scan has a place on the drone, or if the clock of a transform to it differs."""
-        times = {"scans": stamp_s[~np.isnan(stamp_s)]}
-        for key in [key for key in tree.keys_between(body, sensor) if key not in tree.keys_between(world, body)]:
-            if tree.edges[key].moves and (path := tree.edges[key].path) is not None:
+        times, of_poses = {"scans": stamp_s[~np.isnan(stamp_s)]}, tree.keys_between(world, body)
+        for key in tree.keys_between(body, sensor):
+            if key not in of_poses and tree.edges[key].moves and (path := tree.edges[key].path) is not None:
                 times[name := f"transforms {key[0]} → {key[1]}"] = path.stamp_s
                 self._check_clocks(scans, key, name)
         if np.isnan(frames.stamp_s).all() and len(times) > 1:
@@ -119,7 +119,7 @@ class _Bag:
         world, body, topic = "", "", source.topics[0] if source.topics else ""
         if source.uses_tf:
             try:
-                world, body = map(tree.resolve, source.pair or tree.drone(sensor))
+                world, body = map(tree.resolve, source.pair or drone_on_tf(tree, sensor, self.headers.notes))
                 found = tree.poses(world, body)
             except InputError:
                 named = [each for each in source.topics if source.pair in (None, *self.headers.objects(each))]
@@ -164,7 +164,7 @@ class _Bag:
             poses = {(frame, child or body): self._object(topic, (frame, child)) for frame, child in objects}
             for names, path in poses.items():
                 known.add(*names, path)
-            pair = known.drone(sensor)
+            pair = drone_on_tf(known, sensor, self.headers.notes)
             found = poses[pair] if pair in poses else known.poses(*pair)
         world, body = pair
         self.headers.notes[f"{topic} has poses of several frames; those of {body} in {world} are used"] = None

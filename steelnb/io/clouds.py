@@ -22,7 +22,7 @@ from steelnb.core.geometry import shift_of, translated
 from steelnb.core.types import Array, IntArray
 from steelnb.hough.lines import spacing
 from steelnb.io.column_names import AXIS
-from steelnb.io.coordinates import check_degrees, check_order, check_steps, is_stray
+from steelnb.io.coordinates import check_degrees, check_first_column, check_steps, is_stray
 from steelnb.io.encodings import foreign_file
 from steelnb.io.las import read_las
 from steelnb.io.pcd import read_pcd
@@ -156,7 +156,7 @@ def _read_npy(path: Path) -> Any:
     if stored.ndim not in (2, 3) or not 3 <= stored.shape[-1] <= CHANNELS_MAX:
         raise ValueError(f"an array of shape {stored.shape}; expected (N, 3) or (H, W, 3)")
     if stored.ndim == 2 and stored.shape[1] > 3:
-        check_order(stored[:, 0].astype(np.float64), lambda: stored[:, :6].astype(np.float64))
+        check_first_column(stored[:, 0].astype(np.float64), lambda: stored[:, :6].astype(np.float64))
     return stored[..., :3]
 
 
@@ -185,7 +185,7 @@ def _read_text(path: Path) -> Any:
         raise ValueError(f"x, y and z in {', '.join(sorted(other))}; expected metres")
     points = table.values([k for k in number if k is not None])
     if is_unnamed and len(table.own) > 3:
-        check_order(points[:, 0], lambda: points if said is not None else _first_numbers(table))
+        check_first_column(points[:, 0], lambda: points if said is not None else _first_numbers(table))
     if is_unnamed and table.separator == "," and len(table.own) >= 6 and len(table.own) % 2 == 0:
         _check_commas(table.data.splitlines()[:LINES_LOOKED_AT])
     return points

@@ -16,17 +16,17 @@ UNITS = {
 }  # fmt: skip
 """Words for each unit; those for none say what a time counts from."""
 UNIT_OF = {word: unit for unit, words in UNITS.items() for word in words.split()}
-LENGTHS = {"m", "mm", "cm", "km", "ft", "in"}
+LENGTH_UNITS = {"m", "mm", "cm", "km", "ft", "in"}
 STATED = re.compile(
     r"(?:^\W*|,\s*(?=units(?::| are))|\b(?:length|linear|distance|coordinates?|xyz|map|model|points?|all|the|in)\s+)"
     r"units?\b(?:\s+(?:of\s+(?:length|measure\w*)|are|is|in)\b)*\W*(?:in\s+)?(?:(?:us|survey|international)[\s-]+)*"
     r"([a-zµ]+)\b(?!\s*[-/^])"
 )
+"""A unit in a sentence, where no word before it tells that it is one of ranges or times: "Units: US survey feet"."""
 OF_OTHERS = re.compile(
     r"\b(?:range|intensity|resolution|spacing|voxel|sigma|scale|time)|\b(?:in|to) m(?:et(?:er|re)s)?\b"
 )
 """Words of a line in which a unit is that of something else, or that names the metre, too."""
-"""A unit in a sentence, where no word before it tells that it is one of ranges or times: "Units: US survey feet"."""
 STAMPS = (
     "(?:.*_)?header_stamp", "(?:time_?)?stamp", "time|t", "(?:unix|epoch)_(?:time|stamp|timestamp)",
     "(?:.*_)?(?:time|stamp|timestamp)|",
@@ -82,6 +82,6 @@ def check_stated(lines: Iterable[str]) -> None:
     """Raise ValueError if comments or titles state a unit of lengths, but not the metre."""
     told = [line for line in lines if not OF_OTHERS.search(line.lower())]
     stated = {UNIT_OF.get(word, ""): line for line in told for word in STATED.findall(line.lower())}
-    other = [line for unit, line in stated.items() if unit in LENGTHS]
+    other = [line for unit, line in stated.items() if unit in LENGTH_UNITS]
     if other and "m" not in stated:
         raise ValueError(f"{shown(other[0])} in its header; expected metres")

@@ -14,8 +14,8 @@ STRAY_M, STRAY_DISTANCES, STRAY_SHARE = 1e4, 1000.0, 0.01
 """Points farther than both from the median point, in metres and in median distances, are strays if they are so few:
 such as zeros among the coordinates of a survey."""
 NO_RETURN, SAME_M, APART_M = (0, 999, 9999, 99999, 32767, 32768), 1e-6, 100.0
-"""Numbers, of either sign, that programs write where a coordinate is missing, and their least distance from others.
-Zeros are it in a survey only."""
+"""Numbers, of either sign, that programs write where a coordinate is missing, and their minimum distance from others.
+Zero counts only in a survey."""
 FARTHEST_M = 4e4
 """Points farther than this from the mean of all cannot be put into the voxels of a map."""
 STEP_MAX_M, FAR_FROM_ZERO_M, ROUNDED_POINTS = 0.02, 1e4, 100
@@ -72,12 +72,12 @@ def check_steps(path: Path | str, points: Array) -> None:
             )
 
 
-def check_order(first: Array, more: Callable[[], Array]) -> None:
+def check_first_column(first: Array, more: Callable[[], Array]) -> None:
     """Raise ValueError if x, y and z are not the first of columns without names.
 
-    ``first (N,)``, the first column, rises in equal steps, or holds times; or it and up to two more hold only whole
-    numbers, but most numbers of the three after them are none, and these are no normals and no colours. A first column
-    of zeros is the x of a scan in one plane. ``more`` gives the first columns ``(N, up to 6)``, and is asked late.
+    The ``first (N,)`` column rises in equal steps, or holds times. Or up to three columns hold only whole numbers, and
+    most numbers of the next three have decimals; but not if the first may be an x that seldom changes, and not before
+    colours and normals. ``more`` gives the first columns ``(N, up to 6)``; it is called only if needed.
     """
     expected = "expected x, y and z first, or names of columns"
     step = np.diff(first)
@@ -97,11 +97,9 @@ def check_order(first: Array, more: Callable[[], Array]) -> None:
     if not 1 <= leading <= 3 or axes.shape[1] < 3 or (axes.mean(axis=0) <= 0.5).any():
         return
     are_normals = behind.shape[1] == 3 and np.abs(behind).max() <= 1
-    are_no_places = (
-        np.abs(columns[:, leading + 2]).max() <= 1 or np.abs(columns[:, leading + 2]).max() > COORDINATE_MAX_M
-    )
-    if leading == 1:  # an x of walls and profiles hardly changes from line to line
-        may_be_x = (np.diff(columns[:, 0]) != 0).mean() < OFTEN or are_no_places
+    if leading == 1:  # an x of walls and profiles hardly changes, and what is 0 to 1, or a time, is no z
+        largest = np.abs(columns[:, 3]).max()
+        may_be_x = (np.diff(columns[:, 0]) != 0).mean() < OFTEN or not 1 < largest <= COORDINATE_MAX_M
     else:
         may_be_x = leading == 3 and (columns[:, :3].min() < 0 or columns[:, :3].max() > 255)
     if not may_be_x and not are_normals:

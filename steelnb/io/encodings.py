@@ -47,12 +47,9 @@ def foreign_file(path: Path) -> str:
 
 def rewritten(data: bytes | memoryview) -> str:
     """Words on binary data in which a carriage return stands before each line feed, else ""."""
-    ends = bytes(data)
-    is_so = ends.count(b"\n") == ends.count(b"\r\n") > 1
-    return (
-        ", and a carriage return before each line feed, as after a transfer as text (FTP); expected a binary one"
-        * is_so
-    )
+    data = bytes(data)
+    words = ", and a carriage return before each line feed, as after a transfer as text (FTP); expected a binary one"
+    return words if data.count(b"\n") == data.count(b"\r\n") > 1 else ""
 
 
 def plain_nan(data: bytes) -> bytes:

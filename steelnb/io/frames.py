@@ -13,18 +13,15 @@ from steelnb.core.errors import InputError
 from steelnb.core.geometry import transform_points
 from steelnb.core.types import Array
 from steelnb.io.frame_names import are_of_two, is_world_name
+from steelnb.io.rotations import LEVEL, UPRIGHT, heights_of_z
 from steelnb.io.transforms import Placement, Tree
 
 T_OPTICAL_SENSOR = np.array([[0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1.0]])
 """Rotation from x forward, y left, z up to optical axes: z forward, x right, y down (REP 103)."""
 T_UP_DOWN = np.diag([1.0, -1.0, -1.0, 1.0])
 """Rotation between axes with z down and y right (NED, FRD) and those with z up and y left (REP 103)."""
-UPRIGHT, ALIGNED = 0.7, 0.9
-"""Minimum cosines between the vertical and the z axis of a frame that stands upright on the drone, and between all axes
-of a frame and those of the drone, if they are meant to be the same."""
-LEVEL = 0.2
-"""Maximum sine between the horizontal and an axis that is level, as one across the image is; drones bank by more, but
-seldom longer."""
+ALIGNED = 0.9
+"""Minimum cosine between the axes of a frame and those of the drone, if they are meant to be the same."""
 Z_MIN = 0.45
 """Minimum height of the z axis by which a pitched frame that is not called a link has x ahead: a camera with optical
 axes on its side, which looks up by less, has y level, too."""
@@ -202,10 +199,10 @@ def note_on_rotations(T_world_drone: Array) -> str:
     """Note if a drone with poses ``(N, 4, 4)`` is upright only if quaternions are read as w, x, y, z, or if the poses
     are those of optical axes or of axes with z down."""
     q = Rotation.from_matrix(T_world_drone[:, :3, :3]).as_quat()
-    up, w_first = (Rotation.from_quat(each).as_matrix()[:, 2, 2] for each in (q, q[:, [1, 2, 3, 0]]))
+    up, up_if_w_first = heights_of_z(q)
     if np.median(up) > UPRIGHT:
         return ""
-    if np.quantile(w_first, 0.1) > UPRIGHT:
+    if np.quantile(up_if_w_first, 0.1) > UPRIGHT:
         return "the drone hangs upside down, unless quaternions are w, x, y, z; they are read as x, y, z, w"
     if np.quantile((T_world_drone @ T_OPTICAL_SENSOR)[:, 2, 2], 0.1) > UPRIGHT:
         own = "--mount 0,0,0,90,-90,0 if scans are its own"

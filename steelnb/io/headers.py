@@ -24,8 +24,8 @@ STEP_SHARE_MIN = 0.05
 JUMP_M = 0.05
 """Poses that jump to and fro by more are noted."""
 SWAPPED_SHARE, SWAPPED_BY = 0.05, 2
-"""Messages are sorted if more than this share of stamps go back, as of two threads, and none by more places; a clock
-that is set back does so once."""
+"""Messages are sorted by stamp if more than this share of the stamps go back, as when two threads send them, and none
+by more than so many places. A clock that is set back goes back once."""
 
 
 class Link(NamedTuple):

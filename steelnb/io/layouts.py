@@ -23,8 +23,6 @@ one is more than `DOUBTS` times as doubtful."""
 ORDER = {"<": "little-endian", ">": "big-endian"}
 PADDING_MAX = 64
 """Bytes that a driver may add to a row to align the next."""
-
-
 SMOOTHER = 0.5
 """Points are read with another size than stated if neighbours in a row are then nearer to each other by this factor."""
 

@@ -9,12 +9,11 @@ from steelnb.core.types import Array
 LENGTHS = 0.5, 2.0
 """Bounds of the length of a quaternion, which is normalised."""
 SPEED_MAX, FAR_M = 100.0, 20.0
-"""No drone is faster, in m/s; and a way that no stamp needs to explain, since some are coarse or come in bursts."""
+"""Maximum speed of a drone, m/s, and a distance that is always allowed, since some stamps are coarse or in bursts."""
 FAR_RUN, FAR_SHARE = 3, 0.1
 """So many poses in a row, and this share of all, or one, may be far off: more are another map, or in another unit."""
-
 JUMP_SHARE = 0.5
-"""Poses jump to and fro if most are nearer, by this share, to the one after the next than to the next."""
+"""Poses jump to and fro if the median distance to the second next is less than this share of that to the next."""
 
 
 def are_valid(rows: Array) -> NDArray[np.bool_]:

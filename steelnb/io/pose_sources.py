@@ -22,9 +22,9 @@ GOALS, GOALS_OF_POSES = {"setpoint"}, {"goal", "target", "command", "cmd", "refe
 is measured."""
 OF_GOAL = "of a goal by its name"
 REACH_MIN_M, STILL, MOVING_SHARE, REACHES = 1.0, 1e-3, 0.5, (0.5, 2.0)
-"""Poses are not the drone's if no number of theirs changes by the second, as of wheels that stand, while those of tf
-reach farther than the first, metres, and change from pose to pose in more than the third, as corrections do not; and
-bounds of the ratio of two reaches, beyond which it is noted."""
+"""Poses on a topic are not the drone's if none of their numbers changes by `STILL`, as of wheels that stand, while
+those on tf reach farther than `REACH_MIN_M`, and change in more than `MOVING_SHARE` of their steps: a correction
+changes only a few. `REACHES`: bounds of the ratio of the two reaches, beyond which both are noted."""
 GRID = 200
 """Number of stamps at which two paths are compared."""
 
@@ -121,6 +121,15 @@ def settled(source: PoseSource, headers: Headers, tree: Tree, sensor: str) -> Po
     return source
 
 
+def drone_on_tf(tree: Tree, sensor: str, notes: dict[str, None]) -> tuple[str, str]:
+    """World and frame of the drone that carries the sensor, with a note if the transform is sent the other way. Raises
+    `InputError` with the choices."""
+    world, body = tree.drone(sensor)
+    if (body, world) in tree.edges:
+        notes[f"{body} → {world} on tf is an odometry sent inverted: it is read as {body} in {world}"] = None
+    return world, body
+
+
 def _carried(tree: Tree, sensor: str, frame: str) -> tuple[str, str, Trajectory] | None:
     """World, frame and poses of the drone that carries the sensor on tf; None if there is none, or the world has no
     usual name. The world is ``frame`` if it is one: odom may move in a map that is corrected."""
@@ -128,7 +137,6 @@ def _carried(tree: Tree, sensor: str, frame: str) -> tuple[str, str, Trajectory]
         return None
     try:
         world, body = tree.drone(sensor)
-        tree.notes.clear()  # they are of a choice that is not taken yet
         if not is_world_name(world) or is_world_name(body) or body not in tree.above(sensor):
             return None
         world = frame if is_world_name(frame) and frame in tree.above(body) else world

@@ -41,7 +41,7 @@ def stamps_of(names: Sequence[str], prior: Trajectory) -> tuple[Array | None, st
     dated_s = np.array([float(date) for date in dates]) if all(dates) else None
     is_of_poses = dated_s is not None and _fits(dated_s, prior)
     if dated_s is not None:  # else the digits of a date are those of no stamp
-        names = [DATE.sub(date * is_of_poses, name, count=1) for name, date in zip(names, dates, strict=True)]
+        names = [DATE.sub(date if is_of_poses else "", name, count=1) for name, date in zip(names, dates, strict=True)]
     numbers = [NUMBER.findall(MEASURE.sub("", name))[::-1] for name in names]
     columns = list(zip(*numbers, strict=False))  # the numbers of each place, the last first
     for column, before in zip(columns, [*columns[1:], None], strict=False):
@@ -55,7 +55,8 @@ def stamps_of(names: Sequence[str], prior: Trajectory) -> tuple[Array | None, st
 
 
 def _fits(stamp_s: Array, prior: Trajectory) -> bool:
-    """Whether stamps are of the time of the poses; if there are as many, which are pairs otherwise, of most of it."""
+    """Whether stamps overlap the poses. If there are as many of both, which makes pairs of them otherwise, they must
+    overlap for most of the time."""
     if unit_of_stamps(prior.stamp_s) != "s":
         return False
     share = _overlap(np.sort(stamp_s), prior.stamp_s)

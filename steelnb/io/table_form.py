@@ -5,7 +5,7 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 from steelnb.core.checks import shown
-from steelnb.io.column_names import LENGTHS, UNIT_OF, check_stated, known_names, name_and_unit
+from steelnb.io.column_names import LENGTH_UNITS, UNIT_OF, check_stated, known_names, name_and_unit
 from steelnb.io.encodings import decoded, plain_nan
 from steelnb.io.text import NOT_A_NUMBER, Table, is_number, split_cells
 
@@ -94,7 +94,7 @@ def read_table(path: Path) -> Table:
     for (name, unit), more in zip(plain, units, strict=False):
         if unit and more and unit != more:
             raise ValueError(f"column {name} in {unit} by its name, and in {more} by the line below; expected one unit")
-    if LENGTHS.isdisjoint([*units, *(unit for _, unit in plain)]):
+    if LENGTH_UNITS.isdisjoint([*units, *(unit for _, unit in plain)]):
         check_stated(text.lstrip("# ") for text in texts[: content[0]])
     first = content[0] if names is None else heads[-1][0] + 1  # a label below it may look like a comment
     skipped = sum(map(len, lines[:first]))

@@ -51,11 +51,10 @@ class Placement(NamedTuple):
 
 
 class Tree:
-    """Transforms between frames. A frame may have several parents, such as odom and map. ``notes``: on what is odd."""
+    """Transforms between frames. A frame may have several parents, such as odom and map."""
 
     def __init__(self, edges: Mapping[tuple[str, str], Edge] | None = None) -> None:
         self.edges: dict[tuple[str, str], Edge] = {}
-        self.notes: dict[str, None] = {}
         self._parents: dict[str, list[str]] = defaultdict(list)
         self._near: dict[str, list[str]] = defaultdict(list)
         for key, edge in (edges or {}).items():
@@ -77,10 +76,8 @@ class Tree:
         self.edges[key] = edge
 
     def fixed(self) -> "Tree":
-        """A tree of those of tf_static, with the same notes."""
-        tree = Tree({key: edge for key, edge in self.edges.items() if edge.path is None})
-        tree.notes = self.notes
-        return tree
+        """A tree of those of tf_static."""
+        return Tree({key: edge for key, edge in self.edges.items() if edge.path is None})
 
     @property
     def frames(self) -> set[str]:
@@ -161,10 +158,8 @@ class Tree:
         beside = [body for body in bodies if namespace(body) == namespace(sensor)]
         bodies = beside or bodies
         choices = [check_order(world, body) for body in bodies for world in self._worlds(self.above(body))]
-        inverted = self._inverted(sensor) if all(is_inverted(*pair) for pair in choices) else []
-        for world, body in inverted if len(inverted) == 1 else ():
-            self.notes[f"{body} → {world} on tf is an odometry sent inverted: it is read as {body} in {world}"] = None
-        choices = inverted or choices
+        if all(is_inverted(*pair) for pair in choices):
+            choices = self._inverted(sensor) or choices
         if len(choices) == 1:
             return choices[0]
         listed = [f"{world}>{body}" for world, body in sorted(choices)]

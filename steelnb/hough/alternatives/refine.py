@@ -7,7 +7,7 @@ import numpy as np
 from steelnb.core.types import Array, IntArray, Lines, Segments
 from steelnb.hough.freedom import nearest_bar
 from steelnb.hough.segments import cut_and_sort
-from steelnb.hough.segments_kernels import assign, filter_pieces, merge
+from steelnb.hough.segments_kernels import counts_near, filter_pieces, merge
 from steelnb.hough.transform import fit_line
 from steelnb.hough.whole_structure.search import EXCLUDE_DX
 
@@ -77,5 +77,5 @@ def refine(points: Array, bars: Segments, dx: float, points_min: int = POINTS_MI
             order, piece = merge(px, py, pz, order, piece, MERGE_DISTANCE_M, 2 * GAP_MAX_M)
         bounds = (PCA_RATIO_MIN, RADIUS_MAX_M, 0.0, LENGTH_MIN_M) if final else (0.0, np.inf, 0.0, 0.0)
         bars = Segments(*filter_pieces(px, py, pz, order, piece, *bounds))
-    _, around = assign(px, py, pz, bars.start, bars.direction, bars.length, 2 * ASSIGN_DX * dx, 0.0)
+    around = counts_near(px, py, pz, bars.start, bars.direction, bars.length, 2 * ASSIGN_DX * dx)
     return bars.take((bars.count >= points_min) & (bars.count >= OWN_SHARE_MIN * around))
