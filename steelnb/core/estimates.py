@@ -27,6 +27,8 @@ class OdometryStep:
     ``T_world_drone (4, 4)``: corrected pose; ``used``: whether the scan was used for it; ``reason``: why it was not,
     else empty; ``matches``: number of correspondences; ``seconds``: duration of each stage; ``unobserved``: number of
     directions, 0 to 3, that a used scan does not constrain; along these the pose follows the prediction.
+    ``covariance (6, 6)`` of x, y, z, roll, pitch, yaw of the pose, metres and radians, in world axes; None if the
+    odometry does not know it, as those without an IMU.
     """
 
     stamp_s: float
@@ -36,9 +38,12 @@ class OdometryStep:
     matches: int = 0
     seconds: dict[str, float] = field(default_factory=dict)
     unobserved: int = 0
+    covariance: Array | None = None
 
     def __post_init__(self) -> None:
         checked_kind(self.used, "OdometryStep.used", bool | np.bool_)
+        if self.covariance is not None:
+            set_checked(self, covariance=checked_array(self.covariance, "OdometryStep.covariance", (6, 6)))
         checked_kind(self.reason, "OdometryStep.reason", str)
         for stage, seconds in checked_kind(self.seconds, "OdometryStep.seconds", dict).items():
             checked_number(seconds, f"OdometryStep.seconds[{stage!r}]")
@@ -71,9 +76,10 @@ class Estimate:
     directions, 0 to 3, that a used scan does not constrain (empty if unknown). ``unsmoothed``: why smoothing failed,
     else empty.
 
-    Covariances of a smoothed flight, else None: ``pose_covariance (K, 6, 6)`` of x, y, z, roll, pitch, yaw of the
-    corrected poses, metres and radians, in world axes (`fusion.adjustment.uncertainty`; zero for the first pose),
-    and ``axis_covariance (M, 4, 4)`` of position and direction of each segment.
+    Covariances, None if they are not known: ``pose_covariance (K, 6, 6)`` of x, y, z, roll, pitch, yaw of the corrected
+    poses, metres and radians, in world axes, of a smoothed flight (`fusion.adjustment.uncertainty`; zero for the first
+    pose) or of an odometry with an IMU, which knows the scans so far; and ``axis_covariance (M, 4, 4)`` of position and
+    direction of each segment of a smoothed flight.
     ``unsure``: why a smoothed flight has no covariances, else empty. ``thickness`` of angle sections, a share of
     their flanges, as estimated by smoothing, else None.
     """

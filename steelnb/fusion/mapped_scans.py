@@ -43,14 +43,6 @@ class MappedScans:
         """The voxels around bars."""
         return BarVoxels.around(bars, REACH_TUBES * TUBE_M, MARGIN_TUBES * TUBE_M, self.voxels.voxel_m)
 
-    def median_range_m(self, every: int) -> float:
-        """Median range of the returns above the floor and within range in one of ``every`` scans, metres."""
-        s, ranges = self.settings, []
-        for T, scan in zip(self.T_world_sensor[::every], self.scans[::every], strict=True):
-            world, *_ = world_points(_flat(scan.points), T, s.range_max_m, s.floor_m)
-            ranges.append(np.linalg.norm(world - T[:3, 3], axis=1))
-        return float(np.median(np.concatenate(ranges)))
-
     def bar_points(self, voxels: BarVoxels, every: int = 1, pixels: int = 1) -> Iterator[tuple[int, Array, IntArray]]:
         """Yield, for one in ``every`` scans, its number, its points on bars in the sensor frame, and their bars; one in
         ``pixels`` points is used."""
@@ -60,6 +52,16 @@ class MappedScans:
             world, _, index = world_points(points, self.T_world_sensor[k], s.range_max_m, s.floor_m)
             bar = voxels.bar_of(world)
             yield k, points[index[bar >= 0]], bar[bar >= 0]
+
+
+def median_range_m(scans: Sequence[Scan], T_world_sensor: Array, settings: StructureSettings, every: int = 20) -> float:
+    """Median range of the returns above the floor and within range in one of ``every`` scans, metres; NaN without."""
+    ranges = [np.zeros(0)]
+    for T, scan in zip(T_world_sensor[::every], scans[::every], strict=True):
+        world, *_ = world_points(_flat(scan.points), T, settings.range_max_m, settings.floor_m)
+        ranges.append(np.linalg.norm(world - T[:3, 3], axis=1))
+    found = np.concatenate(ranges)
+    return float(np.median(found)) if len(found) else np.nan
 
 
 def insert_scan(voxels: VoxelMap, scan: Scan, T_world_sensor: Array, settings: StructureSettings) -> None:

@@ -81,11 +81,18 @@ class BaseOdometry(ABC):
         T_world_drone, reason, matches, unobserved = self._update(scan, prior, watch)
         if reason:
             reason = nothing_near(scan, self.settings.preprocess.crop_m) or reason
-        return OdometryStep(scan.stamp_s, T_world_drone, reason == "", reason, matches, watch.seconds, unobserved)
+        return OdometryStep(
+            scan.stamp_s, T_world_drone, reason == "", reason, matches, watch.seconds, unobserved,
+            self._covariance(T_world_drone),
+        )  # fmt: skip
 
     @abstractmethod
     def _update(self, scan: Scan, prior: Array, watch: Stopwatch) -> Outcome:
         """Correct the pose at one scan, and end each stage with a lap of the ``watch``."""
+
+    def _covariance(self, T_world_drone: Array) -> Array | None:
+        """The ``covariance`` of an `OdometryStep` with this pose; unknown by default."""
+        return None
 
     def map_points(self) -> Array:
         """The map as points ``(N, 3)``, world frame: by default, points along its bars, at most `SPACING_M` apart."""

@@ -121,6 +121,9 @@ class CloudOdometry(BaseOdometry):
         T_world_drone, reason, matches, unobserved = self.corrected(scan, prior, watch)
         return self.prediction.levelled(T_world_drone), reason, matches, unobserved
 
+    def _covariance(self, T_world_drone: Array) -> Array | None:
+        return self.prediction.covariance(T_world_drone)
+
     def corrected(self, scan: Scan, prior: Array, watch: Stopwatch) -> Outcome:
         """What `update` does with a checked scan; also for an odometry that falls back on this one."""
         T_init = self.prediction.pose(prior, scan.stamp_s, CLOUD_ERROR)

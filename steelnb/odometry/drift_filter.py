@@ -85,6 +85,9 @@ class DriftPrediction:
         """The same pose ``(4, 4)``."""
         return T_world_drone
 
+    def covariance(self, T_world_drone: Array) -> None:
+        """Unknown: this filter has that of a step, not that of a pose."""
+
     def lose(self) -> None:
         """Update with a scan that was not registered."""
         self._followed, self._last_s = False, self._current_s

@@ -112,6 +112,13 @@ class InertialPrediction:
         tilt = self.state.error * [1.0, 1.0, 0.0, 0.0, 0.0, 0.0]
         return moved_poses(T_world_drone[None], -tilt[None])[0]
 
+    def covariance(self, T_world_drone: Array) -> Array:
+        """The ``covariance`` of an `OdometryStep` with this pose ``(4, 4)`` for the last scan: that of the state's
+        pose, and the square of the step from there, such as the lasting error."""
+        assert self.state is not None
+        step = pose_difference(self.state.T_world_drone, T_world_drone)
+        return np.roll(self.state.covariance[POSE, POSE] + np.outer(step, step), 3, axis=(0, 1))
+
     def lose(self) -> None:
         """Update with a scan that was not registered: continue from its prediction."""
         self.state = self.predicted

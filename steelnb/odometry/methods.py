@@ -14,6 +14,7 @@ from steelnb.core.images import CameraImages
 from steelnb.core.types import Array, Flight, Imu
 from steelnb.fusion.adjustment.imu_factors import check_imu
 from steelnb.fusion.adjustment.smooth import smooth
+from steelnb.fusion.adjustment.uncertainty import with_range_sigmas
 from steelnb.odometry.base import BaseOdometry, Odometry
 from steelnb.odometry.clouds import CloudOdometry
 from steelnb.odometry.deepvo.odometry import DeepVoOdometry
@@ -91,11 +92,14 @@ def correct(
         odometry = make_odometry(settings, flight.T_drone_sensor, flight.imu, flight.images)
     else:
         odometry = make_own(own, flight)
-    estimate = run(flight, odometry, on_step, before)
+    estimate, preprocess = run(flight, odometry, on_step, before), settings.preprocess
+    structure = StructureSettings(floor_m=preprocess.floor_m, range_max_m=preprocess.crop_m)
+    if estimate.pose_covariance is not None:
+        T = estimate.corrected.T_world_drone @ flight.T_drone_sensor
+        estimate = replace(estimate, pose_covariance=with_range_sigmas(estimate.pose_covariance, flight, T, structure))
     if not settings.smooth:
         return estimate
-    begin, preprocess = time.perf_counter(), settings.preprocess
-    structure = StructureSettings(floor_m=preprocess.floor_m, range_max_m=preprocess.crop_m)
+    begin = time.perf_counter()
     estimate = smooth(flight, estimate, structure, getattr(settings, "tilt_sigma_rad", 0.0), noise)
     smooth_s = np.full(len(flight), (time.perf_counter() - begin) / max(len(flight), 1))
     return replace(estimate, seconds={**estimate.seconds, "smooth": smooth_s})

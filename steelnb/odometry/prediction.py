@@ -70,6 +70,9 @@ class Prediction(Protocol):
     def levelled(self, T_world_drone: Array) -> Array:
         """The pose ``(4, 4)`` to put out for a registered pose of the last scan."""
 
+    def covariance(self, T_world_drone: Array) -> Array | None:
+        """The ``covariance`` of an `OdometryStep` with this pose ``(4, 4)`` for the last scan; None if unknown."""
+
     def lose(self) -> None:
         """Update with a scan that was not registered."""
 

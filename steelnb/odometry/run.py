@@ -64,6 +64,7 @@ def run(flight: Flight, odometry: Odometry, on_step: OnStep | None = None, befor
     if len(steps) < len(flight):
         raise InputError(f"{flight.name}: {len(steps)} scans could be read; expected {len(flight)}, one per pose")
     stages = dict.fromkeys(stage for step in steps for stage in step.seconds)
+    covariances = [step.covariance for step in steps if step.covariance is not None]
     return Estimate(
         prior=flight.prior,
         corrected=Trajectory(flight.prior.stamp_s, T_world_drone),
@@ -74,6 +75,7 @@ def run(flight: Flight, odometry: Odometry, on_step: OnStep | None = None, befor
         seconds={stage: np.array([s.seconds.get(stage, 0.0) for s in steps]) for stage in stages},
         update_s=update_s,
         unobserved=np.array([s.unobserved for s in steps], dtype=np.int64),
+        pose_covariance=np.array(covariances) if steps and len(covariances) == len(steps) else None,
     )
 
 

@@ -86,7 +86,9 @@ def evaluate(
     flight: Flight, estimate: Estimate, segments: Segments, structure: Structure, known: References
 ) -> dict[str, float]:
     """Numbers of scans used and, by reason, not used; milliseconds per update; sizes of the map; and errors in metres
-    at the stamps of the truth, also of another program's trajectory.
+    at the stamps of the truth, also of another program's trajectory. An estimate with covariances adds
+    ``position_sigma_m`` and ``position_sigma_max_m``, the median and largest root mean square error of the position,
+    metres, that these claim.
 
     ``on_time_share``: share of updates done before the next scan; ``prior_followed``: scans that leave one or more
     directions undetermined, in which the prior was followed.
@@ -110,5 +112,8 @@ def evaluate(
             numbers |= {f"{part}_{name}": value for name, value in scores.items()}
         if numbers["prior_ate_rmse_m"] > 0:
             numbers["drift_removed_percent"] = 100 * (1 - numbers["corrected_ate_rmse_m"] / numbers["prior_ate_rmse_m"])
+    if (covariance := estimate.pose_covariance) is not None:
+        sigma_m = np.sqrt(np.trace(covariance[:, :3, :3], axis1=1, axis2=2))
+        numbers |= {"position_sigma_m": float(np.median(sigma_m)), "position_sigma_max_m": float(sigma_m.max())}
     sizes = {"map_points": len(estimate.points), "segments": len(segments)}
     return numbers | sizes | {"structure_bars": len(structure), "structure_joints": len(structure.joint)}

@@ -80,6 +80,7 @@ def estimate(**change):
         (lambda: OdometryStep(0.0, np.eye(4), seconds=[1]), "OdometryStep.seconds = .*: expected dict"),
         (lambda: OdometryStep(0.0, np.eye(4), seconds={"map": None}), "OdometryStep.seconds\\['map'\\] = None"),
         (lambda: OdometryStep(0.0, np.eye(4), reason=7), "OdometryStep.reason = 7: expected str"),
+        (lambda: OdometryStep(0.0, np.eye(4), covariance=np.eye(3)), r"OdometryStep.covariance: .*expected \(6, 6\)"),
         (lambda: Scan(0.0, np.zeros((3, 3)), None), "Scan.fault = None: expected str"),
         (lambda: Segments.empty().transformed(np.eye(3)), "T_target_source: .*\\(3, 3\\)"),
         (lambda: Segments.empty().moved([1, 2]), "by: .*\\(2,\\)"),

@@ -11,7 +11,7 @@ from steelnb.core.types import Imu
 from steelnb.fusion.adjustment.drift_factors import DRIFT_SIGMA
 from steelnb.fusion.adjustment.imu_factors import BIAS, POSE
 from steelnb.metrics import score_trajectory
-from steelnb.odometry import make_odometry, run
+from steelnb.odometry import correct, make_odometry, run
 from steelnb.odometry.faces import odometry as faces
 from steelnb.odometry.imu_filter import InertialPrediction
 from steelnb.odometry.inertial_state import SHIFT, TURN
@@ -139,12 +139,46 @@ def test_an_odometry_takes_roll_and_pitch_from_the_readings_not_from_its_prior(t
     flight, truth = tilted
     flight = replace(flight, imu=measured_imu(flight.imu, SHEET, 3))
     settings = OdometrySettings.preset("faces").override({"inertial": SHEET.model_dump()})
-    found = run(flight, make_odometry(settings, flight.T_drone_sensor, flight.imu))
+    found = correct(flight, settings)
     assert tilt_rms_deg(flight.prior, truth) > 3.0
     # The bias of the accelerometer is 0.039 m/s² across: a lean of 0.23 degrees, of which 16 s tell little.
     assert tilt_rms_deg(found.corrected, truth) < 0.25
     assert score_trajectory(found.corrected, truth.trajectory)["ate_rmse_m"] < 0.03
     assert not any(found.reason[1:])
+    true = truth.trajectory.at(flight.prior.stamp_s).T_world_drone
+    squares = squares_of_poses(found.corrected.T_world_drone[1:], true[1:], found.pose_covariance[1:])
+    assert np.all((squares > 0.02) & (squares < 2.0))
+    told = correct(replace(flight, range_sigmas=(0.01, 0.0)), settings)
+    stretch = told.pose_covariance - found.pose_covariance
+    shift = (found.corrected.position - found.corrected.position[0])[:, :, None]
+    np.testing.assert_allclose(stretch[:, :3, :3], 1e-4 * shift * shift.transpose(0, 2, 1), atol=1e-6)
+    assert not stretch[:, 3:].any()
+
+
+def squares_of_poses(T, true, covariance):
+    """Mean normalised squared errors of position and rotation."""
+    error = np.array([np.roll(pose_difference(a, b), 3) for a, b in zip(T, true, strict=True)])[:, :, None]
+    parts = slice(0, 3), slice(3, 6)
+    solved = [error[:, p].transpose(0, 2, 1) @ np.linalg.solve(covariance[:, p, p], error[:, p]) for p in parts]
+    return np.mean(solved, axis=(1, 2, 3)) / 3
+
+
+def test_a_pose_that_is_put_out_is_as_uncertain_as_its_covariance_says():
+    true, stamp_s, imu = at_scans(60)
+    lasting, squares = LastingError(0.003, 0.03, 10.0), []
+    for seed in range(12):
+        rng = np.random.default_rng(seed)
+        prior, lost = drifted(true, rng), lasting_errors(lasting, stamp_s, rng)
+        readings = measured_imu(imu, SHEET, seed)
+        prediction, found = flown(readings, true, stamp_s, prior, rng, model=lasting, lost=lost)
+        poses, covariances = [], []
+        for _, _, prediction.state in found[11:]:
+            poses.append(prediction.levelled(prediction.state.T_registered))
+            covariances.append(prediction.covariance(poses[-1]))
+        squares.append(squares_of_poses(poses, true[11:], np.array(covariances)))
+    position, rotation = np.mean(squares, axis=0)
+    assert 0.4 < position < 1.5
+    assert 0.4 < rotation < 1.5
 
 
 def test_bars_correct_a_pose_that_clouds_have_led_astray_and_the_filter_expects_that(tilted, monkeypatch):
@@ -179,6 +213,7 @@ def test_the_readings_count_only_if_the_settings_know_their_noise(tilted):
         for name, imu in (("exact", flight.imu), ("noisy", measured_imu(flight.imu, SHEET, 1)), ("none", None)):
             found = run(flight, make_odometry(settings, flight.T_drone_sensor, imu))
             poses[bool(noise), name] = found.corrected.T_world_drone
+            assert (found.pose_covariance is not None) == (bool(noise) and imu is not None)
     plain = poses[False, "none"]
     for each in ((False, "exact"), (False, "noisy"), (True, "none")):
         np.testing.assert_array_equal(poses[each], plain)

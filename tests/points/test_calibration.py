@@ -10,7 +10,7 @@ from steelnb.core.range_scans import RangeScans
 from steelnb.core.types import Flight, Scan, Trajectory
 from steelnb.fusion.adjustment.uncertainty import with_range_sigmas
 from steelnb.points.calibration import calibrated
-from steelnb.settings import ExperimentSettings, TofSettings
+from steelnb.settings import ExperimentSettings, StructureSettings, TofSettings
 from steelnb.settings.calibration import fitted_calibration
 from steelnb.simulation.calibration import DISTANCES_M, measure_calibration
 from steelnb.simulation.tof_faults import draw_faults
@@ -98,7 +98,9 @@ def test_a_calibration_needs_three_distances_in_the_unit_of_the_ranges(distance_
 def test_sigmas_of_a_calibration_stretch_the_path_from_its_first_pose():
     T = np.tile(np.eye(4), (3, 1, 1))
     T[:, :3, 3] = [[1.0, 0, 0], [4.0, 0, 0], [1.0, 0, 10.0]]
-    found = with_range_sigmas(np.zeros((3, 6, 6)), T, (0.003, 0.004), 1.0)
+    scans = [Scan(float(k), np.array([[1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])) for k in range(3)]
+    flight = Flight(scans, Trajectory(np.arange(3.0), T), np.eye(4), range_sigmas=(0.003, 0.004))
+    found = with_range_sigmas(np.zeros((3, 6, 6)), flight, T, StructureSettings(floor_m=-9.0, range_max_m=4.0))
     np.testing.assert_allclose(
         np.sqrt(np.diagonal(found, axis1=1, axis2=2))[:, :3], [[0, 0, 0], [0.015, 0, 0], [0, 0, 0.05]]
     )

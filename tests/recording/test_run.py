@@ -129,6 +129,11 @@ def test_a_smoothed_run_tells_the_uncertainty_of_its_bars(simulated, undrawn, tm
     assert not found.estimate.unsmoothed
     sigma_mm = pd.read_csv(tmp_path / "segments.csv")[["sigma_start_mm", "sigma_end_mm"]]
     assert (sigma_mm > 0).all(axis=None)
+    pose_sigma_m = np.sqrt(np.trace(found.estimate.pose_covariance[:, :3, :3], axis1=1, axis2=2))
+    table = pd.read_csv(tmp_path / "table.csv", index_col="quantity")["value"].astype(float)
+    told = table[["position_sigma_m", "position_sigma_max_m"]]
+    np.testing.assert_allclose(told, [np.median(pose_sigma_m), pose_sigma_m.max()], rtol=1e-5)
+    assert any(line.startswith("sure      of positions to 0.") for line in found.summary)
     assert found.numbers["corrected_ate_rmse_m"] < 0.5 * found.numbers["prior_ate_rmse_m"]
 
 

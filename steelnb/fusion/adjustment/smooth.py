@@ -86,9 +86,7 @@ def smooth(
     try:
         pose, bar = uncertainty.marginals(state, equations, prior, stamp_s)
         pose_covariance = uncertainty.pose_covariances(pose, T, mount)
-        if any(flight.range_sigmas):
-            range_m = scans.median_range_m(every=20)
-            pose_covariance = uncertainty.with_range_sigmas(pose_covariance, T, flight.range_sigmas, range_m)
+        pose_covariance = uncertainty.with_range_sigmas(pose_covariance, flight, T, settings)
         axis_covariance = uncertainty.axis_covariances(
             bar[state.bars.is_bar], bars.segments, bars.across, state.sigma_ratio
         )

@@ -13,12 +13,14 @@ from scipy.linalg import cho_factor, cho_solve
 
 from steelnb.core.errors import InputError
 from steelnb.core.geometry import UPRIGHT_DOF
-from steelnb.core.types import Array, Segments
+from steelnb.core.types import Array, Flight, Segments
 from steelnb.fusion.adjustment.drift_factors import pose_size
 from steelnb.fusion.adjustment.point_factors import PointEquations, summed
 from steelnb.fusion.adjustment.problem import BAR_DOF, Problem
 from steelnb.fusion.adjustment.solver import Chain, normal_equations
+from steelnb.fusion.mapped_scans import median_range_m
 from steelnb.fusion.sections.shapes import frames
+from steelnb.settings import StructureSettings
 
 SHARED_SIGMA_M = 0.001
 """Standard deviation, per axis, of the displacement that all points of a bar in a scan share, at the range noise of
@@ -97,13 +99,13 @@ def pose_covariances(pose: Array, T_world_sensor: Array, T_drone_sensor: Array) 
     return result
 
 
-def with_range_sigmas(
-    covariance: Array, T_world_sensor: Array, range_sigmas: tuple[float, float], range_m: float
-) -> Array:
-    """Covariances ``(K, 6, 6)`` of `pose_covariances` with the errors that a calibration of the ranges leaves:
-    ``range_sigmas`` of scale and offset, metres. An error of scale stretches the path from the first pose by its share,
-    an error of offset by its share of the usual range ``range_m``."""
-    share = range_sigmas[0] ** 2 + (range_sigmas[1] / range_m) ** 2
+def with_range_sigmas(covariance: Array, flight: Flight, T_world_sensor: Array, settings: StructureSettings) -> Array:
+    """Covariances ``(K, 6, 6)`` of an `Estimate` with the errors that a calibration of the ranges leaves, the
+    ``range_sigmas`` of the flight. An error of scale stretches the path from the first pose by its share, an error of
+    offset by its share of the usual range."""
+    scale, offset_m = flight.range_sigmas
+    range_m = median_range_m(flight.scans, T_world_sensor, settings) if offset_m else np.nan
+    share = scale**2 + (offset_m / range_m) ** 2 if np.isfinite(range_m) else scale**2
     shift, result = T_world_sensor[:, :3, 3] - T_world_sensor[0, :3, 3], covariance.copy()
     result[:, :3, :3] += share * shift[:, :, None] * shift[:, None, :]
     return result

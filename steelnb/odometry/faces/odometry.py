@@ -105,6 +105,9 @@ class FaceOdometry(BaseOdometry):
             watch.lap("refit")
         return output, reason, matches, unobserved
 
+    def _covariance(self, T_world_drone: Array) -> Array | None:
+        return self.prediction.covariance(T_world_drone)
+
     def map_points(self) -> Array:
         """The map of the odometry by clouds, ``(N, 3)`` in the world frame."""
         return self.clouds.map_points()
