@@ -138,7 +138,7 @@ class Container:
         found = f"{name} is {kinds[name]}" if name in kinds else found
         topics = ", ".join(f"{topic} ({kinds[topic]})" for topic in sorted(candidates or kinds))
         expected = f"one topic of {role}, or its name, among" if candidates else "one in the recording, which has"
-        raise InputError(f"{self.path}: {found}; expected {expected} {topics}")
+        raise InputError(f"{found}; expected {expected} {topics}")
 
     def messages(self, *topics: str) -> Iterator[Raw]:
         """Messages of some topics in the order in which they were recorded; those of one part as in its file."""

@@ -72,7 +72,7 @@ def pose_source(bag: Container, name: str | None, scans: str) -> PoseSource:
             objects = tuple(bag.of_type(ros.ODOMETRY, ros.POSE_STAMPED, ros.POSE_COVARIANCE, ros.TRANSFORM))
             return PoseSource(tf, uses_tf=True, topics=objects, pair=(pair[1], pair[2]))
     if name and name not in bag.types and os.path.splitext(name)[1].lower() in TRAJECTORIES:
-        raise InputError(f"{bag.path}: no topic and no file {name!r}; expected a topic of poses, or a trajectory")
+        raise InputError(f"no topic and no file {name!r}; expected a topic of poses, or a trajectory")
     if name is not None or first:
         topic = bag.choose("poses", name, [*first, *others] if name is not None else first)
         return PoseSource(tf, False, (topic,), "", None, name is not None, _is_goal(bag, topic), tuple(notes))

@@ -11,8 +11,8 @@ from steelnb.core.checks import checked_pose
 from steelnb.core.errors import InputError
 from steelnb.core.files import check_exists, display_name
 from steelnb.core.types import Array, Flight, IntArray, Scan, Trajectory
-from steelnb.io.bags import Clock, open_bag
-from steelnb.io.clocks import OF_BAG, ONE_CLOCK, rising_stamps
+from steelnb.io.bags import open_bag
+from steelnb.io.clocks import OF_BAG, ONE_CLOCK, Clock, rising_stamps
 from steelnb.io.clouds import READERS
 from steelnb.io.containers import bags_in, is_bag
 from steelnb.io.encodings import foreign_file

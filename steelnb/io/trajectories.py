@@ -151,15 +151,17 @@ def _named(table: Table, number: dict[str, int | None]) -> tuple[Array, str]:
     stamp_s, values = _seconds(values[:, 0], unit), values[:, 1:]
     if len(stamp) == 2:
         stamp_s, values = stamp_s + values[:, 0] * SECONDS[table.units[stamp[1]]], values[:, 1:]
-    xyzw: Array | None = values[:, 3:]
+    xyzw = values[:, 3:]
     if turned is angles:
         units = {table.units[k] for k in angles if k is not None}
         if units not in ({"deg"}, {"rad"}):
             raise ValueError("roll, pitch and yaw without their unit; expected names such as roll_deg or roll_rad")
         xyzw, finite = np.full((len(values), 4), np.nan), np.isfinite(values).all(axis=1)
         xyzw[finite] = Rotation.from_euler("ZYX", values[finite, 3:], degrees=units == {"deg"}).as_quat()
-    elif turned is not quaternion and (xyzw := xyzw_of(values[:, 3:], 3)) is None:
-        raise ValueError(f"{', '.join(ROTATIONS)} are no rotations; expected a matrix, row by row")
+    elif turned is not quaternion:
+        if (found := xyzw_of(values[:, 3:], 3)) is None:
+            raise ValueError(f"{', '.join(ROTATIONS)} are no rotations; expected a matrix, row by row")
+        xyzw = found
     return np.column_stack([stamp_s, values[:, :3], xyzw]), unit
 
 
