@@ -1,6 +1,5 @@
 """What the coordinates of a cloud say of their order, unit and precision, and which points are none of it."""
 
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -72,14 +71,15 @@ def check_steps(path: Path | str, points: Array) -> None:
             )
 
 
-def check_first_column(first: Array, more: Callable[[], Array]) -> None:
-    """Raise ValueError if x, y and z are not the first of columns without names.
+def check_first_column(columns: Array) -> None:
+    """Raise ValueError if x, y and z are not the first of ``columns (N, 3 to 6)`` without names.
 
-    The ``first (N,)`` column rises in equal steps, or holds times. Or up to three columns hold only whole numbers, and
-    most numbers of the next three have decimals; but not if the first may be an x that seldom changes, and not before
-    colours and normals. ``more`` gives the first columns ``(N, up to 6)``; it is called only if needed.
+    The first column rises in equal steps, or holds times. Or up to three columns hold only whole numbers, and most
+    numbers of the next three have decimals; but not if the first may be an x that seldom changes, and not before
+    colours and normals.
     """
     expected = "expected x, y and z first, or names of columns"
+    first = columns[:, 0].astype(np.float64)
     step = np.diff(first)
     if len(first) < LINES_COUNTED:
         return
@@ -90,7 +90,7 @@ def check_first_column(first: Array, more: Callable[[], Array]) -> None:
         raise ValueError(f"its first column is around {typical:.3g}, as of times; {expected}")
     if not finite.any() or (finite != np.round(finite)).any():
         return
-    columns = (columns := more())[np.isfinite(columns).all(axis=1)]
+    columns = columns[np.isfinite(columns).all(axis=1)].astype(np.float64)
     has_decimals = columns != np.round(columns)
     leading = int(np.argmax(has_decimals.any(axis=0)))
     axes, behind = has_decimals[:, leading : leading + 3], columns[:, 3:]

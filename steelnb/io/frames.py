@@ -13,7 +13,7 @@ from steelnb.core.errors import InputError
 from steelnb.core.geometry import transform_points
 from steelnb.core.types import Array
 from steelnb.io.frame_names import are_of_two, is_world_name
-from steelnb.io.rotations import LEVEL, UPRIGHT, heights_of_z
+from steelnb.io.pose_rows import LEVEL, UPRIGHT, heights_of_z
 from steelnb.io.transforms import Placement, Tree
 
 T_OPTICAL_SENSOR = np.array([[0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1.0]])

@@ -6,7 +6,7 @@ import numpy as np
 
 from steelnb.core.errors import InputError
 from steelnb.core.types import Array
-from steelnb.io.layouts import DEPTHS, POINT_TYPES, cloud_layout, depth_encoding, depth_layout, no_return, xyz_fields
+from steelnb.io.layouts import DEPTHS, cloud_layout, depth_encoding, depth_layout, no_return, views
 
 CLOUD, IMAGE, CAMERA = "sensor_msgs/msg/PointCloud2", "sensor_msgs/msg/Image", "sensor_msgs/msg/CameraInfo"
 COMPRESSED_IMAGE, IMU, PATH = "sensor_msgs/msg/CompressedImage", "sensor_msgs/msg/Imu", "nav_msgs/msg/Path"
@@ -55,11 +55,9 @@ def cloud_points(message: Any) -> Array:
     """
     shape, strides, order, _ = cloud_layout(message)
     points = np.empty((*shape, 3))
-    for k, field in enumerate(xyz_fields(message) if points.size else ()):
-        kind = np.dtype(order + POINT_TYPES[field.datatype])
-        raw = np.ndarray(shape, kind, message.data, field.offset, strides)
+    for k, raw in enumerate(views(message, shape, strides, order) if points.size else ()):
         points[..., k] = raw
-        if kind.kind != "f":
+        if raw.dtype.kind != "f":
             points[..., k] *= INTEGER_M
             points[..., k][no_return(raw)] = np.nan
     points[~np.isfinite(points[..., 0] + points[..., 1] + points[..., 2])] = np.nan
@@ -145,11 +143,6 @@ def pose_numbers(message: Any, kind: str) -> list[float]:
         return numbers(message.transform.translation, message.transform.rotation)
     pose = message.pose if kind == POSE_STAMPED else message.pose.pose
     return numbers(pose.position, pose.orientation)
-
-
-def stamped_pose(message: Any) -> tuple[float, ...]:
-    """Stamp, position and quaternion xyzw of a PoseStamped."""
-    return stamp_of(message), *pose_numbers(message, POSE_STAMPED)
 
 
 def stamp_of(message: Any) -> float:

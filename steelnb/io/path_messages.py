@@ -9,7 +9,7 @@ import numpy as np
 
 from steelnb.core.errors import InputError
 from steelnb.core.types import Array
-from steelnb.io.messages import stamped_pose
+from steelnb.io.messages import POSE_STAMPED, pose_numbers, stamp_of
 from steelnb.io.scanning import Raw
 
 SAME_PLACE_M = 0.05
@@ -70,7 +70,8 @@ class PathMessages:
         return np.array(self._ends)
 
     def _rows(self, raw: Raw) -> Array:
-        return np.array([stamped_pose(each) for each in self._decode(raw).poses], dtype=float).reshape(-1, 8)
+        poses = [(stamp_of(each), *pose_numbers(each, POSE_STAMPED)) for each in self._decode(raw).poses]
+        return np.array(poses, dtype=float).reshape(-1, 8)
 
 
 def _end(raw: Raw) -> Array:

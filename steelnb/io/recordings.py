@@ -2,6 +2,7 @@
 
 import os
 from collections.abc import Callable, Iterator, Sequence
+from itertools import takewhile
 from pathlib import Path
 
 import numpy as np
@@ -108,18 +109,10 @@ def read_flight(
     poses_at = Trajectory(stamp_s[number], T_world_drone[covered])
     skipped_counts = {reason: count for reason, count in skipped.items() if count}
     found = Scans(walk, number, poses_at.stamp_s)
-    _check_scans(path, found)
+    faults = [*takewhile(bool, (scan.fault for scan in found))]
+    if len(faults) == len(found):
+        raise InputError(f"{path}: none of {len(found)} scans can be read; the first: {faults[0]}")
     return Flight(found, poses_at, mount, readings, display_name(path.resolve()), facts, skipped_counts)
-
-
-def _check_scans(path: Path, scans: "Scans") -> None:
-    """Raise `InputError` with the first scan's fault if none has points. Reads up to the first that has."""
-    first = ""
-    for scan in scans:
-        if not scan.fault:
-            return
-        first = first or scan.fault
-    raise InputError(f"{path}: none of {len(scans)} scans can be read; the first: {first}")
 
 
 @checks_arguments

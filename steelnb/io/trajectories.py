@@ -15,8 +15,7 @@ from steelnb.core.errors import InputError
 from steelnb.core.files import new_file, reading
 from steelnb.core.types import Array, Trajectory
 from steelnb.io.column_names import QUATERNION, ROLES, ROTATIONS, STAMPS, TUM
-from steelnb.io.pose_rows import SPEED_MAX, are_far, are_valid
-from steelnb.io.rotations import w_is_first, xyzw_of
+from steelnb.io.pose_rows import SPEED_MAX, are_far, are_valid, w_is_first, xyzw_of
 from steelnb.io.table_form import read_table
 from steelnb.io.text import Table
 
