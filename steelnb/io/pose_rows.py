@@ -15,8 +15,6 @@ FAR_RUN, FAR_SHARE = 3, 0.1
 """So many poses in a row, and this share of all, or one, may be far off: more are another map, or in another unit."""
 JUMP_SHARE = 0.5
 """Poses jump to and fro if the median distance to the second next is less than this share of that to the next."""
-
-
 ROTATION_TOLERANCE = 1e-2
 """Maximum error of rotation matrices, beyond which the numbers are something else."""
 UPRIGHT, UPRIGHT_SHARE = 0.7, 0.9
