@@ -100,7 +100,7 @@ class _Bag:
         times, of_poses = {"scans": stamp_s[~np.isnan(stamp_s)]}, self.tree.keys_between(world, body)
         for key in self.tree.keys_between(body, self.sensor):
             edge = self.tree.edges[key]
-            if key not in of_poses and edge.moves and edge.path is not None:
+            if key not in of_poses and edge.moves:
                 times[name := f"transforms {key[0]} → {key[1]}"] = edge.path.stamp_s
                 self.headers.check_clocks(self.topic, key, name)
         if np.isnan(frames.stamp_s).all() and len(times) > 1:

@@ -32,12 +32,12 @@ AGREED = 0.01
 
 
 class Edge(NamedTuple):
-    """A transform from child to parent: ``T_parent_child (4, 4)`` of one that does not move, ``path`` of one on tf, and
-    whether it ``moves`` along it."""
+    """A transform from child to parent: its ``path``, whether it ``moves`` along it, else its last pose holds, and
+    whether it ``is_static``, of tf_static."""
 
-    T_parent_child: Array
-    path: Trajectory | None
+    path: Trajectory
     moves: bool
+    is_static: bool
 
 
 class Placement(NamedTuple):
@@ -62,10 +62,9 @@ class Tree:
 
     def add(self, parent: str, child: str, path: Trajectory, is_static: bool = False) -> None:
         """Add a transform at some stamps, the last of which counts if it is static."""
-        T = path.T_world_drone
-        moves = not is_static and bool(np.ptp(T, axis=0).max() > STILL)
+        moves = not is_static and bool(np.ptp(path.T_world_drone, axis=0).max() > STILL)
         if moves or (parent, child) not in self.edges:
-            self._set((parent, child), Edge(T[-1], None if is_static else path, moves))
+            self._set((parent, child), Edge(path, moves, is_static))
 
     def _set(self, key: tuple[str, str], edge: Edge) -> None:
         if key not in self.edges:
@@ -77,7 +76,7 @@ class Tree:
 
     def fixed(self) -> "Tree":
         """A tree of those of tf_static."""
-        return Tree({key: edge for key, edge in self.edges.items() if edge.path is None})
+        return Tree({key: edge for key, edge in self.edges.items() if edge.is_static})
 
     @property
     def frames(self) -> set[str]:
@@ -101,7 +100,7 @@ class Tree:
 
     def is_static(self, frames: Sequence[str]) -> bool:
         """Whether all transforms along a way between frames are from tf_static."""
-        return all(self.edges[key].path is None for key, _ in self._steps(frames))
+        return all(self.edges[key].is_static for key, _ in self._steps(frames))
 
     def contradictions(self, target: str, source: str) -> Iterator[tuple[tuple[str, ...], Array]]:
         """Other static ways from ``target`` to ``source``, without one transform of the shortest, that lead to another
@@ -124,9 +123,7 @@ class Tree:
         T, known = np.tile(np.eye(4), (len(stamp_s), 1, 1)), np.ones(len(stamp_s), bool)
         for key, is_down in self._steps(frames):
             edge = self.edges[key]
-            step, covered = edge.T_parent_child[None], known
-            if edge.moves and edge.path is not None:
-                step, covered = interpolate(edge.path, stamp_s)
+            step, covered = interpolate(edge.path, stamp_s) if edge.moves else (edge.path.T_world_drone[-1:], known)
             T, known = T @ (step if is_down else np.linalg.inv(step)), known & covered
         return Placement(T, known, tuple(frames), self.moves(frames))
 
@@ -134,7 +131,7 @@ class Tree:
         """Poses of ``body`` in ``world`` at the stamps of the fastest transform between them that moves."""
         keys = self.keys_between(world, body)
         self.move_still(keys)
-        moving = [edge.path.stamp_s for key in keys if (edge := self.edges[key]).moves and edge.path is not None]
+        moving = [edge.path.stamp_s for key in keys if (edge := self.edges[key]).moves]
         if not moving:
             listed = ", ".join(sorted(self.frames)) or "none"
             raise InputError(f"no poses of {body!r} in {world!r} on tf; expected two of its frames: {listed}")
@@ -200,7 +197,7 @@ class Tree:
     def move_still(self, keys: list[tuple[str, str]]) -> None:
         """Of a recording in which nothing moves, take transforms on tf for moving ones."""
         if not any(edge.moves for edge in self.edges.values()):
-            self.edges |= {key: self.edges[key]._replace(moves=self.edges[key].path is not None) for key in keys}
+            self.edges |= {key: self.edges[key]._replace(moves=not self.edges[key].is_static) for key in keys}
 
     def above(self, frame: str) -> dict[str, list[str]]:
         """A frame and its ancestors, with the way up to each."""
