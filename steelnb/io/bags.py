@@ -183,9 +183,8 @@ class _Bag:
         the latest poses."""
         longest = self.headers.paths.longest
         if self.clock.by_log or longest is None:
-            raise InputError(
-                f"{topic}: the poses of a Path have only their own stamps; expected another topic of poses"
-            )
+            own_stamps = "the poses of a Path have only their own stamps"
+            raise InputError(f"{topic}: {own_stamps}; expected another topic of poses")
         rows, own = self.headers.paths.poses(longest)
         found = trajectory_of(f"{self.bag.path}: {topic}", rows, self.headers.skipped)
         more = f" and {len(rows) - own} of others" if len(rows) > own else ""

@@ -86,9 +86,8 @@ def read_cloud(path: Path | str) -> Cloud:
         spacing_m = spacing(kept)
         if spacing_m > SPACING_MAX_M:
             unit = "millimetres" if extent_m > CENTIMETRES_MAX else "centimetres or millimetres"
-            raise InputError(
-                f"{path}: a spacing of {spacing_m:.3g} over {extent_m:.4g} looks like {unit}; expected metres"
-            )
+            looks = f"a spacing of {spacing_m:.3g} over {extent_m:.4g} looks like {unit}"
+            raise InputError(f"{path}: {looks}; expected metres")
     check_steps(path, kept)
     check_degrees(path, kept)
     origin = shift_of(kept.mean(axis=0))

@@ -49,9 +49,8 @@ def is_stray(path: Path | str, points: Array) -> NDArray[np.bool_]:
     is_far = distance_m > max(STRAY_M, STRAY_DISTANCES * float(np.median(distance_m[~is_missing])))
     count = np.count_nonzero(is_far & ~is_missing)
     if count > STRAY_SHARE * len(kept) and np.abs(kept - kept.mean(axis=0)).max() > FARTHEST_M:
-        raise InputError(
-            f"{path}: {count} of {len(points)} points are more than {STRAY_M / 1e3:g} km from most; expected one site"
-        )
+        far = f"{count} of {len(points)} points are more than {STRAY_M / 1e3:g} km from most"
+        raise InputError(f"{path}: {far}; expected one site")
     return is_missing | (is_far & (count <= STRAY_SHARE * len(kept)))
 
 
@@ -65,10 +64,8 @@ def check_steps(path: Path | str, points: Array) -> None:
         step = float(np.diff(different).min(initial=np.inf))
         steps = (different - different[0]) / step
         if step > STEP_MAX_M and np.abs(steps - np.round(steps)).max() < 0.01:
-            raise InputError(
-                f"{path}: {name} is around {values.mean():.0f} in steps of {step:.3g} m, as of single precision; "
-                "expected doubles, or coordinates near zero"
-            )
+            steps = f"{name} is around {values.mean():.0f} in steps of {step:.3g} m, as of single precision"
+            raise InputError(f"{path}: {steps}; expected doubles, or coordinates near zero")
 
 
 def check_first_column(columns: Array) -> None:

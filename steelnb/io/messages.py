@@ -122,6 +122,7 @@ def camera_matrix(camera: CameraInfo, height: int, width: int) -> tuple[Array, s
     if whole == (width, height):
         centre = f"({K[0, 2]:g}, {K[1, 2]:g})"
         raise InputError(f"CameraInfo with principal point {centre}; expected one in its {width} × {height} pixels")
+    sizes = f"image of {width} × {height}, CameraInfo of {whole[0]} × {whole[1]}"
     part = (part_width, part_height) if part_width and part_height else whole
     for begin, size, binning in (((x, y), part, camera.binning), ((0, 0), whole, (1, 1))):
         binned = size[0] // binning[0], size[1] // binning[1]
@@ -131,10 +132,8 @@ def camera_matrix(camera: CameraInfo, height: int, width: int) -> tuple[Array, s
                 scale = np.array(binning) * (ratio if up is binned else 1 / ratio)
                 K[:2, 2] -= begin
                 K[:2] /= scale[:, None]
-                return K, f"image of {width} × {height}, CameraInfo of {whole[0]} × {whole[1]}: its K is scaled"
-    raise InputError(
-        f"image of {width} × {height}, CameraInfo of {whole[0]} × {whole[1]}; expected the same size or a whole ratio"
-    )
+                return K, f"{sizes}: its K is scaled"
+    raise InputError(f"{sizes}; expected the same size or a whole ratio")
 
 
 def pose_numbers(message: Any, kind: str) -> list[float]:

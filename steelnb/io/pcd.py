@@ -60,18 +60,16 @@ def read_pcd(path: Path) -> Array:
         more = len(data) - count * stride
         why = rewritten(data) if more else ""
         if (more >= stride or why) and any(data[count * stride :]):
-            raise ValueError(
-                f"{len(data)} bytes of points; expected {count} of {stride} bytes each, as its header says{why}"
-            )
+            expected = f"expected {count} of {stride} bytes each, as its header says{why}"
+            raise ValueError(f"{len(data)} bytes of points; {expected}")
     elif header.encoding == "binary_compressed":
         if len(data) < 8:
             raise ValueError("no data after its header")
         packed, size = struct.unpack_from("<II", data)
         count = header.chosen(size // max(stride, 1))
         if packed > len(data) - 8 or size > LZF_RATIO_MAX * packed or size != count * stride:
-            raise ValueError(
-                f"{len(data) - 8} bytes hold {packed}, and {size} uncompressed; expected {count} × {stride}"
-            )
+            held = f"{len(data) - 8} bytes hold {packed}, and {size} uncompressed"
+            raise ValueError(f"{held}; expected {count} × {stride}")
         whole = lzf_unpacked(np.frombuffer(data, np.uint8, packed, 8), size).data
         # Each field of all points stands in one piece.
         axes = [xyz_of(whole[n * count :], count, int(kind[2:]), [(kind, 0)] * 3)[:, 0] for kind, n in header.fields]

@@ -72,14 +72,11 @@ def check_units(rows: Array, unit: str) -> None:
         count = len(np.unique(rows[:, 0]))
         raise ValueError(f"{len(rows)} poses have {count} stamps; expected one each, written with all their digits")
     if typical_s > STEP_MAX_S and not unit and not unit_of_stamps(rows[:, 0]):
-        raise ValueError(
-            f"stamps {typical_s:.4g} s apart; expected seconds, or their unit in the column's name (stamp_s, stamp_ns)"
-        )
+        expected = "expected seconds, or their unit in the column's name (stamp_s, stamp_ns)"
+        raise ValueError(f"stamps {typical_s:.4g} s apart; {expected}")
     if np.median(way_m - SPEED_MAX * step_s) > 0 and np.median(way_m) <= COORDINATE_MAX_M:
-        raise ValueError(
-            f"poses {np.median(way_m):.4g} m apart after {typical_s:.4g} s; expected positions in metres, and stamps in"
-            " seconds or with their unit in the column's name (stamp_ns)"
-        )
+        expected = "positions in metres, and stamps in seconds or with their unit in the column's name (stamp_ns)"
+        raise ValueError(f"poses {np.median(way_m):.4g} m apart after {typical_s:.4g} s; expected {expected}")
 
 
 def _seconds(stamps: Array, unit: str) -> Array:
@@ -139,9 +136,8 @@ def _named(table: Table, number: dict[str, int | None]) -> tuple[Array, str]:
     wanted = {"stamp": stamp[0] if stamp else None} | {axis: number[axis] for axis in "xyz"}
     wanted |= dict(zip(QUATERNION, quaternion, strict=True)) if turned is quaternion else {}
     if missing := [role for role, k in wanted.items() if k is None]:
-        raise ValueError(
-            f"columns {', '.join(table.names)[:120]}, none for {', '.join(missing)}; expected {', '.join(TUM)}"
-        )
+        none = f"columns {', '.join(table.names)[:120]}, none for {', '.join(missing)}"
+        raise ValueError(f"{none}; expected {', '.join(TUM)}")
     position = [k for axis in "xyz" if (k := number[axis]) is not None]
     if other := {table.units[k] for k in position} - {"", "m"}:
         raise ValueError(f"x, y and z in {', '.join(sorted(other))}; expected metres")
@@ -179,9 +175,8 @@ def _stamp_columns(table: Table) -> list[int]:
             if len(part) and (whole == np.round(whole)).all() and np.median(part) * SECONDS[table.units[parts[0]]] < 1:
                 return [found[0], *parts]
         if len({table.units[k] for k in found}) < len(found):
-            raise ValueError(
-                f"{len(found)} columns may be stamps: {', '.join(table.names[k] for k in found)}; expected one"
-            )
+            named = ", ".join(table.names[k] for k in found)
+            raise ValueError(f"{len(found)} columns may be stamps: {named}; expected one")
         if found:
             return found[:1]
     return []

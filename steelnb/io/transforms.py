@@ -160,9 +160,8 @@ class Tree:
         if len(choices) == 1:
             return choices[0]
         listed = [f"{world}>{body}" for world, body in sorted(choices)]
-        raise InputError(
-            f"several frames may be the drone's: {', '.join(listed)}; expected one (--poses '{listed[0]}')"
-        )
+        several = f"several frames may be the drone's: {', '.join(listed)}"
+        raise InputError(f"{several}; expected one (--poses '{listed[0]}')")
 
     def _moving(self, frames: Iterable[str]) -> list[str]:
         """Those of some frames that move in one above them."""
