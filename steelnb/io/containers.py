@@ -30,6 +30,8 @@ FORMS = {
 """What a file of messages is, and what repairs it."""
 GAP_MAX_S, OVERLAP_MAX_S = 60.0, 0.5
 """Parts of one recording follow each other; farther apart, they are several recordings."""
+ENCODINGS = ("cdr", "ros1")
+"""Encodings of messages that are read, of ROS 2 and of ROS 1."""
 ZSTD, ZSTD_MAGIC = ".zstd", b"\x28\xb5\x2f\xfd"
 
 
@@ -57,14 +59,6 @@ def is_bag(path: Path) -> bool:
         return True
     files = [file for file in path.glob("[!.]*") if not file.is_dir()]
     return any(map(is_bag, files)) and {file.suffix.lower() for file in files}.isdisjoint({*READERS} - {".txt", ".csv"})
-
-
-def bags_in(folder: Path) -> list[str]:
-    """Names of the ROS 2 folders and bags in a folder that holds no clouds of its own."""
-    here = sorted(folder.glob("[!.]*"))
-    if any(file.suffix.lower() in READERS for file in here):
-        return []
-    return [each.name for each in here if is_bag(each)]
 
 
 class Container:
@@ -188,9 +182,9 @@ class Part:
             held = [*self._survey().items()]
         self.types: dict[str, str] = {}
         self.counts = Counter[str]()
-        self.unread = {encoding for (*_, encoding), count in held if count and not _is_known(encoding)}
+        self.unread = {encoding for (*_, encoding), count in held if count and encoding not in ENCODINGS}
         for (topic, kind, encoding), count in held:
-            if count and _is_known(encoding):
+            if count and encoding in ENCODINGS:
                 self.counts[topic] += count
                 if self.types.setdefault(topic, ros_type(kind)) != ros_type(kind):
                     left_out[f"{path.name} has {topic} also as {kind.rpartition('/')[2]}, which is left out"] = None
@@ -199,11 +193,13 @@ class Part:
     def messages(self, topics: set[str]) -> Iterator[Raw]:
         """Messages of some topics. Raises `LostIndexError` if the library fails; the next pass scans the file."""
         if self._is_scanned:
-            yield from (raw for raw in scan(self.path, self._note) if raw.topic in topics and _is_known(raw.encoding))
+            yield from (raw for raw in scan(self.path, self._note) if raw.topic in topics and raw.encoding in ENCODINGS)
             return
         try:
             with self._reader() as reader:
-                selected = [each for each in reader.connections if each.topic in topics and _is_known(_encoding(each))]
+                selected = [
+                    each for each in reader.connections if each.topic in topics and _encoding(each) in ENCODINGS
+                ]
                 for connection, log_ns, data in reader.messages(selected) if selected else ():
                     if not isinstance(log_ns, int):
                         raise TypeError(log_ns)
@@ -238,7 +234,3 @@ class Part:
 def _encoding(connection: Any) -> str:
     """Encoding of a connection's messages; those of a ROS 1 bag name none."""
     return str(getattr(connection.ext, "serialization_format", "ros1"))
-
-
-def _is_known(encoding: str) -> bool:
-    return encoding in ("cdr", "ros1")

@@ -32,7 +32,11 @@ class PathMessages:
     def add(self, raw: Raw) -> None:
         """Keep the longest Path. Those that do not grow have lost their first poses: of them, one is decoded for every
         eighth of its poses, since decoding all takes the square of their number."""
-        self._ends += [] if len(raw.data) < LENGTH_MIN else [_end(raw)]
+        if len(raw.data) >= LENGTH_MIN:
+            ends = bytes(raw.data[:12]) + bytes(raw.data[-56:])  # a stamp after four bytes; seven numbers
+            order = ">" if raw.encoding == "cdr" and not ends[1] & 1 else "<"
+            second, part, *pose = struct.unpack(f"{order}4x2I7d", ends)
+            self._ends.append(np.array([(second * 10**9 + part) / 10**9, *pose]))
         self._until_next -= 1
         if self.longest is not None and len(raw.data) <= len(self.longest.data) and self._until_next <= 0:
             with suppress(InputError):
@@ -72,11 +76,3 @@ class PathMessages:
     def _rows(self, raw: Raw) -> Array:
         poses = [(stamp_of(each), *pose_numbers(each, POSE_STAMPED)) for each in self._decode(raw).poses]
         return np.array(poses, dtype=float).reshape(-1, 8)
-
-
-def _end(raw: Raw) -> Array:
-    """Stamp and last pose ``(8,)`` of a Path, from the two ends of its bytes."""
-    data = bytes(raw.data[:12]) + bytes(raw.data[-56:])  # a stamp after four bytes; seven numbers
-    order = ">" if raw.encoding == "cdr" and not data[1] & 1 else "<"
-    second, part, *pose = struct.unpack(f"{order}4x2I7d", data)
-    return np.array([(second * 10**9 + part) / 10**9, *pose])

@@ -15,7 +15,7 @@ from steelnb.core.types import Array, Flight, IntArray, Scan, Trajectory
 from steelnb.io.bags import open_bag
 from steelnb.io.clocks import OF_BAG, ONE_CLOCK, Clock, rising_stamps
 from steelnb.io.clouds import READERS
-from steelnb.io.containers import bags_in, is_bag
+from steelnb.io.containers import is_bag
 from steelnb.io.encodings import foreign_file
 from steelnb.io.folders import TRUE, named_file, open_clouds
 from steelnb.io.frames import note_on_rotations
@@ -86,7 +86,9 @@ def read_flight(
         if clock == "bag" or imu:
             what = f"IMU {imu}" if imu else "clock 'bag'"
             raise InputError(f"{path}: {what}; expected a bag, as clouds in files have only their own stamps")
-        if bags := bags_in(path):
+        held = [each for each in sorted(path.glob("[!.]*")) if each.suffix.lower() in READERS or is_bag(each)]
+        bags = [each.name for each in held if each.suffix.lower() not in READERS]
+        if bags and len(bags) == len(held):
             raise InputError(f"{path}: bags in it: {', '.join(bags)}; expected one of them")
         opened = open_clouds(path, scans, poses)
         opened = opened._replace(stamp_s=opened.stamp_s + time_offset_s)

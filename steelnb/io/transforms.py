@@ -11,17 +11,7 @@ from numpy.typing import NDArray
 from steelnb.core.errors import InputError
 from steelnb.core.files import printable
 from steelnb.core.types import Array, Trajectory
-from steelnb.io.frame_names import (
-    BODIES,
-    WORLDS,
-    check_order,
-    is_body_name,
-    is_inverted,
-    is_world_name,
-    namespace,
-    own_name,
-    rank,
-)
+from steelnb.io import frame_names as naming
 from steelnb.io.trajectories import interpolate
 
 STILL = 1e-6
@@ -86,8 +76,8 @@ class Tree:
     def resolve(self, frame: str, beside: str = "") -> str:
         """The frame of this name or, if there is none, the only one of this name in a namespace or without one; of
         several the one in the namespace of ``beside``."""
-        same = [each for each in self.frames if own_name(each) == own_name(frame)]
-        near = [each for each in same if beside and namespace(each) == namespace(beside)] or same
+        same = [each for each in self.frames if naming.own_name(each) == naming.own_name(frame)]
+        near = [each for each in same if beside and naming.namespace(each) == naming.namespace(beside)] or same
         return near[0] if frame not in self.frames and len(near) == 1 and frame else frame
 
     def between(self, target: str, source: str) -> list[str] | None:
@@ -143,19 +133,19 @@ class Tree:
 
     def drone(self, sensor: str) -> tuple[str, str]:
         """Names of the world and of the drone's frame that carries ``sensor``. Raises `InputError` with the choices."""
-        self.move_still([key for key in self.edges if is_world_name(key[0])])
+        self.move_still([key for key in self.edges if naming.is_world_name(key[0])])
         bodies = self._moving(self.above(sensor)) or self._moving(self.frames)
         if not bodies:
             raise InputError("no transform on tf moves; expected one from the world to the drone")
-        if names := [name for name in BODIES if name in {*map(own_name, bodies)}]:
-            bodies = [body for body in bodies if own_name(body) == names[0]]
+        if names := [name for name in naming.BODIES if name in {*map(naming.own_name, bodies)}]:
+            bodies = [body for body in bodies if naming.own_name(body) == names[0]]
         else:  # a frame that moves itself, not one fixed to it, and no odom below a map
             bodies = [body for body in bodies if any(self.edges[each, body].moves for each in self._parents[body])]
-            bodies = [body for body in bodies if not is_world_name(body)] or bodies
-        beside = [body for body in bodies if namespace(body) == namespace(sensor)]
+            bodies = [body for body in bodies if not naming.is_world_name(body)] or bodies
+        beside = [body for body in bodies if naming.namespace(body) == naming.namespace(sensor)]
         bodies = beside or bodies
-        choices = [check_order(world, body) for body in bodies for world in self._worlds(self.above(body))]
-        if all(is_inverted(*pair) for pair in choices):
+        choices = [naming.check_order(world, body) for body in bodies for world in self._worlds(self.above(body))]
+        if all(naming.is_inverted(*pair) for pair in choices):
             choices = self._inverted(sensor) or choices
         if len(choices) == 1:
             return choices[0]
@@ -171,26 +161,27 @@ class Tree:
         """World and drone of each moving transform that leads down to a world, away from the sensor: of worlds with a
         usual name or, if there is none, of all below a drone with a usual name."""
         ways = _ways(sensor, self._near)
-        found = [(world, body) for (body, world), edge in self.edges.items() if edge.moves and is_inverted(body, world)]
+        moving = [(world, body) for (body, world), edge in self.edges.items() if edge.moves]
+        found = [(world, body) for world, body in moving if naming.is_inverted(body, world)]
         found = [(world, body) for world, body in found if world not in ways.get(body, [world])]
-        return [pair for pair in found if is_world_name(pair[0])] or found
+        return [pair for pair in found if naming.is_world_name(pair[0])] or found
 
     def body_of(self, sensor: str) -> str:
         """The frame with a drone's usual name that carries ``sensor``, else the topmost one to which it is fixed; the
         first such name if it has no place."""
         above = self.above(sensor)
-        if named := [frame for frame in above if is_body_name(frame)]:
-            return min(named, key=lambda frame: BODIES.index(own_name(frame)))
-        fixed = [frame for frame, way in above.items() if not is_world_name(frame) and not self.moves(way)]
-        return max(fixed, key=lambda frame: len(above[frame])) if len(above) > 1 and fixed else BODIES[0]
+        if named := [frame for frame in above if naming.is_body_name(frame)]:
+            return min(named, key=lambda frame: naming.BODIES.index(naming.own_name(frame)))
+        fixed = [frame for frame, way in above.items() if not naming.is_world_name(frame) and not self.moves(way)]
+        return max(fixed, key=lambda frame: len(above[frame])) if len(above) > 1 and fixed else naming.BODIES[0]
 
     def _worlds(self, above: dict[str, list[str]]) -> list[str]:
         """Of the frames above the drone, with the way to each, those that its poses may be in."""
         moving = [frame for frame, way in above.items() if self.moves(way)]
-        best = min(rank(own_name(frame)) for frame in moving)
-        if best < len(WORLDS):
-            named = [frame for frame in moving if rank(own_name(frame)) == best]
-            return named[:1] if len({own_name(frame) for frame in named}) == 1 else named
+        best = min(naming.rank(naming.own_name(frame)) for frame in moving)
+        if best < len(naming.WORLDS):
+            named = [frame for frame in moving if naming.rank(naming.own_name(frame)) == best]
+            return named[:1] if len({naming.own_name(frame) for frame in named}) == 1 else named
         return [frame for frame in moving if frame not in self._parents] or moving
 
     def move_still(self, keys: list[tuple[str, str]]) -> None:
