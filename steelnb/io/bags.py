@@ -53,7 +53,7 @@ class _Bag:
         self.bag, self.clock, self.headers = container, clock, Headers(container, clock)
         self.topic, self.tree, self.sensor = scan_topic(self.bag, scans), Tree(), ""
         self.source = pose_source(self.bag, poses, self.topic)
-        self.note = self.headers.notes.setdefault
+        self.note = self.headers.note
 
     def open(self, imu: str | None, mount: Array | None) -> Opened:
         bag, headers, topic, source = self.bag, self.headers, self.topic, self.source
@@ -88,7 +88,7 @@ class _Bag:
         headers.skipped["scan message that repeats another one"] += len(stamp_s) - count
         if len(groups) < count:
             self.note(f"{count} messages are {len(groups)} scans: those of one stamp are one")
-        headers.notes |= dict.fromkeys(source.notes)
+        self.note(*source.notes)
         lost = ["what is whole is read"] if bag.notes else []
         notes = [*bag.notes, *lost, *bag.left_out, *headers.notes, *frames.notes]
         facts |= {"notes": "; ".join(notes)} if notes else {}
@@ -114,7 +114,7 @@ class _Bag:
         world, body, topic = "", "", source.topics[0] if source.topics else ""
         if source.uses_tf:
             try:
-                world, body = map(tree.resolve, source.pair or drone_on_tf(tree, sensor, self.headers.notes))
+                world, body = map(tree.resolve, source.pair or drone_on_tf(tree, sensor, self.note))
                 found = tree.poses(world, body)
             except InputError:
                 named = [each for each in source.topics if source.pair in (None, *self.headers.objects(each))]
@@ -156,7 +156,7 @@ class _Bag:
             poses = {(frame, child or body): self._object(topic, (frame, child)) for frame, child in objects}
             for names, path in poses.items():
                 known.add(*names, path)
-            pair = drone_on_tf(known, self.sensor, self.headers.notes)
+            pair = drone_on_tf(known, self.sensor, self.note)
             found = poses[pair] if pair in poses else known.poses(*pair)
         world, body = pair
         self.note(f"{topic} has poses of several frames; those of {body} in {world} are used")
@@ -199,7 +199,7 @@ class _Bag:
             self.note(f"{topic} has readings of several frames; those of {frame} are used")
         place = self.tree.place(body, self.tree.resolve(frame, body), rows[:1, 0])
         T_drone_imu = drone_axes(frame).T if place is None else drone_axes(body).T @ place.T_target_source[0]
-        found = readings_of(rows, T_drone_imu[:3, :3], topic, poses, self.headers.notes, self.headers.skipped)
+        found = readings_of(rows, T_drone_imu[:3, :3], topic, poses, self.note, self.headers.skipped)
         if found is not None and place is None:
             self.note(f"no transform from {body} to {frame or 'the IMU'}: its axes are taken from its name")
         try:

@@ -4,7 +4,7 @@ import itertools
 from array import array
 from collections import Counter, defaultdict
 from contextlib import suppress
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -18,7 +18,7 @@ from steelnb.io.path_messages import PathMessages
 from steelnb.io.pose_rows import are_valid, jump_m
 from steelnb.io.scanning import Raw
 from steelnb.io.trajectories import trajectory_of
-from steelnb.io.transforms import STILL, Tree, frame_name
+from steelnb.io.transforms import STILL, Link, Tree, frame_name
 
 STEP_SHARE_MIN = 0.05
 """Minimum interval of stamps, as a share of that of the times of recording; a simulation may be slow."""
@@ -31,14 +31,6 @@ by more than so many places. A clock that is set back goes back once."""
 
 Pair = tuple[str, str]
 """Frame and child frame of a message."""
-
-
-class Link(NamedTuple):
-    """A transform: of tf_static if ``is_static``, else of tf."""
-
-    parent: str
-    child: str
-    is_static: bool
 
 
 class Headers:
@@ -64,7 +56,7 @@ class Headers:
         self.shape: tuple[int, int] | None = None
         self.cameras: dict[str, list[tuple[float, str, ros.CameraInfo]]] = defaultdict(list)
         self.notes: dict[str, None] = {}
-        self.paths = PathMessages(bag.decode, self.notes)
+        self.paths = PathMessages(bag.decode, self.note)
         self.faults: dict[str, InputError] = {}
         self.skipped = Counter[str]()
         self.unstamped: dict[str, str] = {}
@@ -85,6 +77,10 @@ class Headers:
                     self.scan_frames.append("")
         if np.isnan(self._table[scans][::2]).all():
             raise self.fault_of(scans)
+
+    def note(self, *texts: str) -> None:
+        """Add to the ``notes``, each once."""
+        self.notes |= dict.fromkeys(texts)
 
     def fault_of(self, topic: str) -> InputError:
         """Why no message of a topic can be read."""
@@ -133,7 +129,7 @@ class Headers:
         with suppress(InputError):
             layout = cloud_layout(message) if kind == ros.CLOUD else depth_layout(message)
             self.shape = self.shape or layout.shape
-            self.notes |= dict.fromkeys(layout.notes)
+            self.note(*layout.notes)
 
     def objects(self, topic: str) -> dict[Pair, list[Pair]]:
         """Frame and child frame of each object on a topic, the one with most messages first, with all pairs of its
@@ -143,7 +139,7 @@ class Headers:
         spans = sorted(self._span[topic, pair] for pair in named)
         if len(named) > 1 and all(one[1] <= other[0] for one, other in itertools.pairwise(spans)):
             names = " → ".join(filter(None, named[0]))
-            self.notes[f"{topic} names several frames, one after the other; all are taken for {names}"] = None
+            self.note(f"{topic} names several frames, one after the other; all are taken for {names}")
             return {named[0]: found}
         return {pair: [each for each in found if each == pair or _is_less(each, pair)] for pair in named}
 
@@ -162,7 +158,7 @@ class Headers:
     def note_jumps(self, rows: Array, what: str) -> None:
         """Note if poses, ``rows (N, 8)``, jump to and fro from row to row."""
         if (apart_m := jump_m(rows)) > JUMP_M:
-            self.notes[f"{what} jumps {apart_m:.2g} m to and fro: two programs may send it"] = None
+            self.note(f"{what} jumps {apart_m:.2g} m to and fro: two programs may send it")
 
     def _right(self, rows: Array, what: str) -> Array:
         """Rows of stamp and values, of rows of stamp, time of recording and values, where stamps are right."""
@@ -192,8 +188,8 @@ class Headers:
         right = rows[~np.isnan(rows[:, 0])]
         step_s, log_step_s = np.abs(np.median(np.diff(right, axis=0), axis=0)) if len(right) > 1 else (1.0, 1.0)
         if 0 < step_s < STEP_SHARE_MIN * log_step_s:
-            steps = f"{step_s:.2g} s apart, which were recorded every {log_step_s:.2g} s"
-            self.notes[f"stamps of scans are {steps} (--clock bag)"] = None
+            recorded = f"which were recorded every {log_step_s:.2g} s"
+            self.note(f"stamps of scans are {step_s:.2g} s apart, {recorded} (--clock bag)")
         return rows[:, 0] + self._clock.offset_s, rows[:, 1]
 
     def _is_of_poses(self, key: Any) -> bool:
@@ -214,7 +210,7 @@ class Headers:
             remedy = ONE_CLOCK.format(shift, OF_BAG) if is_pose else f"expected one clock{OF_BAG}, or --mount"
             raise InputError(f"scans are {how}; {remedy}")
         remedy = f" (--time-offset {shift})" if is_pose else ""
-        self.notes[f"scans are {how}: they are late, or the clocks differ{remedy}"] = None
+        self.note(f"scans are {how}: they are late, or the clocks differ{remedy}")
 
     def tree(self) -> Tree:
         """Transforms of tf_static and tf."""
@@ -233,15 +229,14 @@ class Headers:
                 rows = np.array(self._table[key]).reshape(-1, 9)[:, [0, *range(2, 9)]]
                 rows = rows[are_valid(rows)] if are_valid(rows).any() else rows
                 if np.ptp(rows[:, 1:], axis=0).max() > STILL:
-                    changes = f"the fixed transform {parent} → {child} changes"
-                    self.notes[f"{changes}; the last one is used for all scans"] = None
+                    self.note(f"the fixed transform {parent} → {child} changes; the last one is used for all scans")
             if is_static or not np.ptp(rows[:, 0]):  # repeated
                 rows = rows[-1:]
             try:
                 found = trajectory_of(f"transform {parent} → {child} is left out", rows, self.skipped)
                 tree.add(parent, child, found, is_static)
             except InputError as fault:
-                self.notes[str(fault)] = None
+                self.note(str(fault))
         return tree
 
 

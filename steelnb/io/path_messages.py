@@ -20,10 +20,10 @@ LENGTH_MIN = 12 + 7 * 8
 
 class PathMessages:
     """The ``longest`` Path of a topic, the last of its length, and rows of stamp and pose of some ``earlier`` ones that
-    did not grow. ``notes`` receive what is unusual."""
+    did not grow. ``note`` is told what is unusual."""
 
-    def __init__(self, decode: Callable[[Raw], Any], notes: dict[str, None]) -> None:
-        self._decode, self._notes = decode, notes
+    def __init__(self, decode: Callable[[Raw], Any], note: Callable[[str], None]) -> None:
+        self._decode, self._note = decode, note
         self._ends: list[Array] = []
         self.longest: Raw | None = None
         self.earlier: list[Array] = []
@@ -70,7 +70,7 @@ class PathMessages:
             what = f"{topic}: {len(rows)} poses with one stamp, {rows[0, 0]:.3f} s"
             raise InputError(f"{what}; expected that of each, or another topic of poses (--poses)")
         note = f"poses of {topic} have no stamps of their own; each has that of the message that ends with it"
-        self._notes[note] = None
+        self._note(note)
         return np.array(self._ends)
 
     def _rows(self, raw: Raw) -> Array:

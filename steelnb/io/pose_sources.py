@@ -2,6 +2,7 @@
 
 import os
 import re
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -124,12 +125,12 @@ def settled(source: PoseSource, headers: Headers, tree: Tree, sensor: str) -> Po
     return source
 
 
-def drone_on_tf(tree: Tree, sensor: str, notes: dict[str, None]) -> tuple[str, str]:
+def drone_on_tf(tree: Tree, sensor: str, note: Callable[[str], None]) -> tuple[str, str]:
     """World and frame of the drone that carries the sensor, with a note if the transform is sent the other way. Raises
     `InputError` with the choices."""
     world, body = tree.drone(sensor)
     if (body, world) in tree.edges:
-        notes[f"{body} → {world} on tf is an odometry sent inverted: it is read as {body} in {world}"] = None
+        note(f"{body} → {world} on tf is an odometry sent inverted: it is read as {body} in {world}")
     return world, body
 
 

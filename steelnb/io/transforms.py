@@ -21,6 +21,14 @@ AGREED = 0.01
 """Two ways between frames agree if their transforms differ by less, in metres and radians."""
 
 
+class Link(NamedTuple):
+    """A transform: of tf_static if ``is_static``, else of tf."""
+
+    parent: str
+    child: str
+    is_static: bool
+
+
 class Edge(NamedTuple):
     """A transform from child to parent: its ``path``, whether it ``moves`` along it, else its last pose holds, and
     whether it ``is_static``, of tf_static."""
