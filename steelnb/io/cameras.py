@@ -28,16 +28,16 @@ def cameras_of(bag: Container, headers: Headers, topic: str) -> list[DepthCamera
     if "rect" in topic.rpartition("/")[2]:
         cameras = [each._replace(info=each.info.rectified()) for each in cameras]
     if len(cameras) > len({each.frame for each in cameras}):
-        headers.notes["the CameraInfo changes in flight; each image has that of its time"] = None
+        headers.note("the CameraInfo changes in flight; each image has that of its time")
     for frame in dict.fromkeys(each.frame for each in cameras):
         info = camera_at(cameras, frame, -np.inf)
         if info.distortion:
-            headers.notes[f"the lens's distortion ({info.distortion}) is left out"] = None
+            headers.note(f"the lens's distortion ({info.distortion}) is left out")
         elif not np.allclose(info.K, info.rectified().K, rtol=1e-3):
-            headers.notes["P of the CameraInfo differs from K, which is used: images may be rectified"] = None
+            headers.note("P of the CameraInfo differs from K, which is used: images may be rectified")
         if headers.shape is not None:
             with suppress(InputError):  # it is the fault of each scan
-                headers.notes |= dict.fromkeys(filter(None, ros.camera_matrix(info, *headers.shape)[1:]))
+                headers.note(*filter(None, ros.camera_matrix(info, *headers.shape)[1:]))
     return cameras
 
 

@@ -2,6 +2,7 @@
 
 from bisect import bisect_left, bisect_right
 from collections.abc import Collection, Sequence
+from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -24,6 +25,14 @@ RIGHT_SHARE = 0.1
 """Minimum share of stamps with the clock of the poses, if most were taken before that clock was set."""
 PARTS_SHARE = 0.3
 """Parts of a scan are recorded within this share of the time to the next scan."""
+
+
+class Clock(NamedTuple):
+    """Which stamps count: those in the messages or, ``by_log``, the times of recording; ``offset_s`` is added to those
+    of scans."""
+
+    by_log: bool = False
+    offset_s: float = 0.0
 
 
 def far_stamps(stamp_s: Array, log_s: Array, others: Sequence[Array] = ()) -> NDArray[np.bool_]:

@@ -1,7 +1,6 @@
 """Reader of point files: NPY, PLY, PCD, LAS, LAZ and text. What it does not understand is refused, not guessed.
 Writer of PLY."""
 
-import contextlib
 import os
 import re
 import warnings
@@ -28,7 +27,6 @@ from steelnb.io.las import read_las
 from steelnb.io.pcd import read_pcd
 from steelnb.io.ply import read_ply
 from steelnb.io.table_form import read_table
-from steelnb.io.text import Table
 
 EXTENT_MAX_M, SPACING_MAX_M = 500.0, 1.0
 """A cloud that exceeds both extent and spacing is probably in millimetres: no scanner is that sparse."""
@@ -88,9 +86,8 @@ def read_cloud(path: Path | str) -> Cloud:
         spacing_m = spacing(kept)
         if spacing_m > SPACING_MAX_M:
             unit = "millimetres" if extent_m > CENTIMETRES_MAX else "centimetres or millimetres"
-            raise InputError(
-                f"{path}: a spacing of {spacing_m:.3g} over {extent_m:.4g} looks like {unit}; expected metres"
-            )
+            looks = f"a spacing of {spacing_m:.3g} over {extent_m:.4g} looks like {unit}"
+            raise InputError(f"{path}: {looks}; expected metres")
     check_steps(path, kept)
     check_degrees(path, kept)
     origin = shift_of(kept.mean(axis=0))
@@ -156,7 +153,7 @@ def _read_npy(path: Path) -> Any:
     if stored.ndim not in (2, 3) or not 3 <= stored.shape[-1] <= CHANNELS_MAX:
         raise ValueError(f"an array of shape {stored.shape}; expected (N, 3) or (H, W, 3)")
     if stored.ndim == 2 and stored.shape[1] > 3:
-        check_first_column(stored[:, 0].astype(np.float64), lambda: stored[:, :6].astype(np.float64))
+        check_first_column(stored[:, :6])
     return stored[..., :3]
 
 
@@ -183,20 +180,13 @@ def _read_text(path: Path) -> Any:
         number = list(table.own[said if said and said + 3 <= len(table.own) else 0 :][:3])
     elif other := {table.units[k] for k in number if k is not None} - {"", "m"}:
         raise ValueError(f"x, y and z in {', '.join(sorted(other))}; expected metres")
-    points = table.values([k for k in number if k is not None])
+    behind = table.own[3:6] if is_unnamed and said is None else ()
+    points = table.values([k for k in number if k is not None], more=behind)
     if is_unnamed and len(table.own) > 3:
-        check_first_column(points[:, 0], lambda: points if said is not None else _first_numbers(table))
+        check_first_column(points)
     if is_unnamed and table.separator == "," and len(table.own) >= 6 and len(table.own) % 2 == 0:
         _check_commas(table.data.splitlines()[:LINES_LOOKED_AT])
-    return points
-
-
-def _first_numbers(table: Table) -> Array:
-    """The first columns of a table without names, ``(N, 3 to 6)``, up to one with labels."""
-    for count in range(min(len(table.own), 6), 3, -1):
-        with contextlib.suppress(ValueError):
-            return table.values(table.own[:count])
-    return table.values(table.own[:3])
+    return points[:, :3]
 
 
 def _check_commas(lines: list[bytes]) -> None:

@@ -30,6 +30,8 @@ FORMS = {
 """What a file of messages is, and what repairs it."""
 GAP_MAX_S, OVERLAP_MAX_S = 60.0, 0.5
 """Parts of one recording follow each other; farther apart, they are several recordings."""
+ENCODINGS = ("cdr", "ros1")
+"""Encodings of messages that are read, of ROS 2 and of ROS 1."""
 ZSTD, ZSTD_MAGIC = ".zstd", b"\x28\xb5\x2f\xfd"
 
 
@@ -57,14 +59,6 @@ def is_bag(path: Path) -> bool:
         return True
     files = [file for file in path.glob("[!.]*") if not file.is_dir()]
     return any(map(is_bag, files)) and {file.suffix.lower() for file in files}.isdisjoint({*READERS} - {".txt", ".csv"})
-
-
-def bags_in(folder: Path) -> list[str]:
-    """Names of the ROS 2 folders and bags in a folder that holds no clouds of its own."""
-    here = sorted(folder.glob("[!.]*"))
-    if any(file.suffix.lower() in READERS for file in here):
-        return []
-    return [each.name for each in here if is_bag(each)]
 
 
 class Container:
@@ -138,7 +132,7 @@ class Container:
         found = f"{name} is {kinds[name]}" if name in kinds else found
         topics = ", ".join(f"{topic} ({kinds[topic]})" for topic in sorted(candidates or kinds))
         expected = f"one topic of {role}, or its name, among" if candidates else "one in the recording, which has"
-        raise InputError(f"{self.path}: {found}; expected {expected} {topics}")
+        raise InputError(f"{found}; expected {expected} {topics}")
 
     def messages(self, *topics: str) -> Iterator[Raw]:
         """Messages of some topics in the order in which they were recorded; those of one part as in its file."""
@@ -171,36 +165,41 @@ class Part:
     """
 
     def __init__(self, path: Path, notes: dict[str, None], left_out: dict[str, None]) -> None:
-        self.path, self._notes, self._left_out, self._is_scanned = path, notes, left_out, False
-        self.types: dict[str, str] = {}
-        self.counts = Counter[str]()
-        self.unread: set[str] = set()
-        self.span_ns = 2**63, 0
+        self.path, self._notes = path, notes
         for beside in (path.with_name(f"{path.name}-{ending}") for ending in ("wal", "journal")):
             if beside.exists() and beside.stat().st_size:
                 merged = f'sqlite3 {path.name} "PRAGMA wal_checkpoint"'
                 self._note(f"is not all: {beside.name} beside it has more, which is not read before `{merged}`")
         try:
             with self._reader() as reader:
-                for each in reader.connections:
-                    self._add(each.topic, each.msgtype, _encoding(each), each.msgcount)
-                self.span_ns = reader.start_time, reader.end_time
                 chunks = getattr(getattr(reader, "storage", None), "chunks", ())
                 self._is_scanned = any(not chunk.channel_count for chunk in chunks)  # no index of messages
+                held = [((each.topic, each.msgtype, _encoding(each)), each.msgcount) for each in reader.connections]
+                self.span_ns = reader.start_time, reader.end_time
         except Exception:  # of the library: no index, another profile, damage
             self._is_scanned = True
         if self._is_scanned:
-            self._survey()
+            held = [*self._survey().items()]
+        self.types: dict[str, str] = {}
+        self.counts = Counter[str]()
+        self.unread = {encoding for (*_, encoding), count in held if count and encoding not in ENCODINGS}
+        for (topic, kind, encoding), count in held:
+            if count and encoding in ENCODINGS:
+                self.counts[topic] += count
+                if self.types.setdefault(topic, ros_type(kind)) != ros_type(kind):
+                    left_out[f"{path.name} has {topic} also as {kind.rpartition('/')[2]}, which is left out"] = None
         self.scans = {topic for topic, kind in self.types.items() if kind in (CLOUD, IMAGE)}
 
     def messages(self, topics: set[str]) -> Iterator[Raw]:
         """Messages of some topics. Raises `LostIndexError` if the library fails; the next pass scans the file."""
         if self._is_scanned:
-            yield from (raw for raw in scan(self.path, self._note) if raw.topic in topics and _is_known(raw.encoding))
+            yield from (raw for raw in scan(self.path, self._note) if raw.topic in topics and raw.encoding in ENCODINGS)
             return
         try:
             with self._reader() as reader:
-                selected = [each for each in reader.connections if each.topic in topics and _is_known(_encoding(each))]
+                selected = [
+                    each for each in reader.connections if each.topic in topics and _encoding(each) in ENCODINGS
+                ]
                 for connection, log_ns, data in reader.messages(selected) if selected else ():
                     if not isinstance(log_ns, int):
                         raise TypeError(log_ns)
@@ -217,25 +216,16 @@ class Part:
 
         return (rosbag1 if self.path.suffix.lower() in (".bag", ".active") else rosbag2).Reader(self.path)
 
-    def _survey(self) -> None:
-        """Topics and times from one pass through the file."""
-        self.types, self.counts, self.unread, stamps = {}, Counter(), set(), [2**63, 0]
+    def _survey(self) -> Counter[tuple[str, str, str]]:
+        """Number of messages of each topic, type and encoding, and their times, from one pass through the file."""
+        held, self.span_ns = Counter[tuple[str, str, str]](), (2**63, 0)
         try:
             for raw in scan(self.path, self._note) if self.path.is_file() else ():
-                self._add(raw.topic, raw.kind, raw.encoding, 1)
-                stamps = [min(stamps[0], raw.log_ns), max(stamps[1], raw.log_ns)]
+                held[raw.topic, raw.kind, raw.encoding] += 1
+                self.span_ns = min(self.span_ns[0], raw.log_ns), max(self.span_ns[1], raw.log_ns)
         except OSError as fault:
             raise InputError(f"{self.path}: cannot be read: {fault.strerror or fault}") from None
-        self.span_ns = stamps[0], stamps[1]
-
-    def _add(self, topic: str, kind: str, encoding: str, count: int) -> None:
-        if count and _is_known(encoding):
-            if self.types.setdefault(topic, ros_type(kind)) != ros_type(kind):
-                second = kind.rpartition("/")[2]
-                self._left_out[f"{self.path.name} has {topic} also as {second}, which is left out"] = None
-            self.counts[topic] += count
-        elif count:
-            self.unread.add(encoding)
+        return held
 
     def _note(self, words: str) -> None:
         self._notes[f"{self.path.name} {words}"] = None
@@ -244,7 +234,3 @@ class Part:
 def _encoding(connection: Any) -> str:
     """Encoding of a connection's messages; those of a ROS 1 bag name none."""
     return str(getattr(connection.ext, "serialization_format", "ros1"))
-
-
-def _is_known(encoding: str) -> bool:
-    return encoding in ("cdr", "ros1")

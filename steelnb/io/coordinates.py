@@ -1,6 +1,5 @@
 """What the coordinates of a cloud say of their order, unit and precision, and which points are none of it."""
 
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -50,9 +49,8 @@ def is_stray(path: Path | str, points: Array) -> NDArray[np.bool_]:
     is_far = distance_m > max(STRAY_M, STRAY_DISTANCES * float(np.median(distance_m[~is_missing])))
     count = np.count_nonzero(is_far & ~is_missing)
     if count > STRAY_SHARE * len(kept) and np.abs(kept - kept.mean(axis=0)).max() > FARTHEST_M:
-        raise InputError(
-            f"{path}: {count} of {len(points)} points are more than {STRAY_M / 1e3:g} km from most; expected one site"
-        )
+        far = f"{count} of {len(points)} points are more than {STRAY_M / 1e3:g} km from most"
+        raise InputError(f"{path}: {far}; expected one site")
     return is_missing | (is_far & (count <= STRAY_SHARE * len(kept)))
 
 
@@ -66,20 +64,19 @@ def check_steps(path: Path | str, points: Array) -> None:
         step = float(np.diff(different).min(initial=np.inf))
         steps = (different - different[0]) / step
         if step > STEP_MAX_M and np.abs(steps - np.round(steps)).max() < 0.01:
-            raise InputError(
-                f"{path}: {name} is around {values.mean():.0f} in steps of {step:.3g} m, as of single precision; "
-                "expected doubles, or coordinates near zero"
-            )
+            steps = f"{name} is around {values.mean():.0f} in steps of {step:.3g} m, as of single precision"
+            raise InputError(f"{path}: {steps}; expected doubles, or coordinates near zero")
 
 
-def check_first_column(first: Array, more: Callable[[], Array]) -> None:
-    """Raise ValueError if x, y and z are not the first of columns without names.
+def check_first_column(columns: Array) -> None:
+    """Raise ValueError if x, y and z are not the first of ``columns (N, 3 to 6)`` without names.
 
-    The ``first (N,)`` column rises in equal steps, or holds times. Or up to three columns hold only whole numbers, and
-    most numbers of the next three have decimals; but not if the first may be an x that seldom changes, and not before
-    colours and normals. ``more`` gives the first columns ``(N, up to 6)``; it is called only if needed.
+    The first column rises in equal steps, or holds times. Or up to three columns hold only whole numbers, and most
+    numbers of the next three have decimals; but not if the first may be an x that seldom changes, and not before
+    colours and normals.
     """
     expected = "expected x, y and z first, or names of columns"
+    first = columns[:, 0].astype(np.float64)
     step = np.diff(first)
     if len(first) < LINES_COUNTED:
         return
@@ -90,7 +87,7 @@ def check_first_column(first: Array, more: Callable[[], Array]) -> None:
         raise ValueError(f"its first column is around {typical:.3g}, as of times; {expected}")
     if not finite.any() or (finite != np.round(finite)).any():
         return
-    columns = (columns := more())[np.isfinite(columns).all(axis=1)]
+    columns = columns[np.isfinite(columns).all(axis=1)].astype(np.float64)
     has_decimals = columns != np.round(columns)
     leading = int(np.argmax(has_decimals.any(axis=0)))
     axes, behind = has_decimals[:, leading : leading + 3], columns[:, 3:]

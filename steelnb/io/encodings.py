@@ -6,37 +6,34 @@ from pathlib import Path
 
 MARKS = {codecs.BOM_UTF8: "utf-8", codecs.BOM_UTF16_LE: "utf-16-le", codecs.BOM_UTF16_BE: "utf-16-be"}
 WINDOWS_NAN = re.compile(rb"-?1\.#(?:IND|QNAN|SNAN|INF)\d*")
-GZIP = b"\x1f\x8b"
 REPLAYED = "expected clouds (PointCloud2), which the sensor's driver records when it replays them"
+PACKETS = f"packets of a network (pcap); {REPLAYED}"
+WEB_PAGE = "a web page; expected the file itself"
 FOREIGN = {
-    GZIP: "compressed by gzip; expected plain text, or plain binary data (gunzip)",
-    b"version https://git-lfs": "a pointer of git LFS; expected the file itself (git lfs pull)",
-    b"<!doctype": "a web page; expected the file itself",
-    b"<html": "a web page; expected the file itself",
-    b"<?xml": "XML; expected another form",
-    b"astm-e57": "E57; expected PLY or LAS (`pdal translate FILE.e57 FILE.las`, or CloudCompare)",
-    b"\xd4\xc3\xb2\xa1": f"packets of a network (pcap); {REPLAYED}",
-    b"ulog\x01\x12\x35": "a log of PX4, without scans; expected a recording of the sensor",
-    b"\x89hdf": "HDF5; expected arrays of numpy.save, or another form",
-    b"pk\x03\x04": "a zip archive; expected the files in it (unzip)",
-    b"%pdf": "a document; expected numbers",
-    b"\x89png": "a picture; expected numbers",
-    b"\xfd7zxz": "compressed by xz; expected plain data (unxz)",
+    rb"\s*\x1f\x8b": "compressed by gzip; expected plain text, or plain binary data (gunzip)",
+    rb"\s*version https://git-lfs": "a pointer of git LFS; expected the file itself (git lfs pull)",
+    rb"\s*<!doctype": WEB_PAGE,
+    rb"\s*<html": WEB_PAGE,
+    rb"\s*<\?xml": "XML; expected another form",
+    rb"\s*astm-e57": "E57; expected PLY or LAS (`pdal translate FILE.e57 FILE.las`, or CloudCompare)",
+    rb"\s*\xd4\xc3\xb2\xa1": PACKETS,
+    rb"\s*ulog\x01\x12\x35": "a log of PX4, without scans; expected a recording of the sensor",
+    rb"\s*\x89hdf": "HDF5; expected arrays of numpy.save, or another form",
+    rb"\s*pk\x03\x04": "a zip archive; expected the files in it (unzip)",
+    rb"\s*%pdf": "a document; expected numbers",
+    rb"\s*\x89png": "a picture; expected numbers",
+    rb"\s*\xfd7zxz": "compressed by xz; expected plain data (unxz)",
+    rb"\n\r\r\n(?s:.{4})(?:\x1a\x2b\x3c\x4d|\x4d\x3c\x2b\x1a)": PACKETS,
+    rb"(?-i:BZh[1-9]1AY&SY)": "compressed by bzip2; expected plain data (bunzip2)",
+    rb"(?-i:OFF\r?\n)": "OFF; expected PLY or another form of points",
 }
-"""Beginnings of files that are something else than their name says, in lower case, and what they are."""
-FOREIGN_FORMS = {
-    rb"\n\r\r\n(?s:.{4})(?:\x1a\x2b\x3c\x4d|\x4d\x3c\x2b\x1a)": FOREIGN[b"\xd4\xc3\xb2\xa1"],
-    rb"BZh[1-9]1AY&SY": "compressed by bzip2; expected plain data (bunzip2)",
-    rb"OFF\r?\n": "OFF; expected PLY or another form of points",
-}
-"""The same by patterns, where fewer letters may begin a text."""
+"""Beginnings of files that are something else than their name says, as patterns, and what they are. Case matters where
+fewer letters may begin a text."""
 
 
 def foreign(begin: bytes) -> str:
     """What a file that begins with these bytes is, if that is never a recording or a cloud, else ""."""
-    both = begin.lower(), begin.lstrip().lower()
-    found = [what for start, what in FOREIGN.items() if any(each.startswith(start) for each in both)]
-    return next(iter(found + [what for form, what in FOREIGN_FORMS.items() if re.match(form, begin)]), "")
+    return next((what for form, what in FOREIGN.items() if re.match(form, begin, re.IGNORECASE)), "")
 
 
 def foreign_file(path: Path) -> str:

@@ -3,6 +3,7 @@
 import os
 from collections import Counter
 from collections.abc import Sequence
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 
@@ -20,6 +21,7 @@ from steelnb.io.trajectories import MAY_BE_W_FIRST, OUT_OF_ORDER, read_trajector
 
 TRUE = ("groundtruth.tum", "groundtruth.txt", "groundtruth.csv")
 OF_KITTI = "as numpy.save writes it of KITTI's numpy.fromfile(FILE, 'f4').reshape(-1, 4)"
+ALIKE = "expected names that differ in numbers alone"
 TRAJECTORIES = (".tum", ".txt", ".csv")
 """Suffixes of files that may be trajectories."""
 STRAY_SHARE = 0.1
@@ -44,14 +46,14 @@ def open_clouds(path: Path, scans: str | None, poses: str | None) -> Opened:
         files, stamp_s = [files[k] for k in by_stamp], stamp_s[by_stamp]
     else:
         stamp_s, named, source = prior.stamp_s, source, "in the order of their names"
-        count = skipped.total() - skipped[MAY_BE_W_FIRST]
-        dropped = f" ({count} dropped)" if count else ""
         if len(prior) != len(files) or skipped[OUT_OF_ORDER]:
-            order = f", {skipped[OUT_OF_ORDER]} of them out of order" if skipped[OUT_OF_ORDER] else dropped
+            count = skipped.total() - skipped[MAY_BE_W_FIRST]
+            but = f" ({count} dropped)" if count else ""
+            but = f", {skipped[OUT_OF_ORDER]} of them out of order" if skipped[OUT_OF_ORDER] else but
+            beside = f" ({', '.join(file.name for file in strays[:3])} beside them)" if strays else ""
             raise InputError(
-                f"{path}: {len(files)} clouds, {named}, and {len(prior)} poses in {trajectory.name}"
-                f"{order}; expected one pose per cloud, or stamps in the names, unlike {files[0].name}"
-                + (f" ({', '.join(file.name for file in strays[:3])} beside them)" if strays else "")
+                f"{path}: {len(files)} clouds, {named}, and {len(prior)} poses in {trajectory.name}{but}; expected one "
+                f"pose per cloud, or stamps in the names, unlike {files[0].name}{beside}"
             )
     strays = [file for file in strays if file != trajectory and file.name not in TRUE]
     if strays:
@@ -108,16 +110,11 @@ def _scans(folder: Path) -> tuple[list[Path], list[Path]]:
         leading = {float(match[0]) for file in chosen if (match := NUMBER.match(file.stem))}
         has_stamps = all("." in "".join(NUMBER.findall(file.stem)) for file in chosen)
         if _by_number(chosen) != sorted(chosen) and len(leading) < len(chosen) and not has_stamps:
-            raise InputError(
-                f"{folder}: clouds such as {chosen[0].name} and {chosen[1].name} have no order; expected names that "
-                "differ in numbers alone"
-            )
+            raise InputError(f"{folder}: clouds such as {chosen[0].name} and {chosen[1].name} have no order; {ALIKE}")
     for each in sorted(others, key=len, reverse=True):
         if len(each) > max(1, STRAY_SHARE * len(chosen)) or len(files) > 2 * len(chosen):
-            raise InputError(
-                f"{folder}: {len(chosen)} clouds such as {chosen[0].name}, and {len(each)} such as {each[0].name}; "
-                "expected names that differ in numbers alone, or one kind a folder"
-            )
+            kinds = f"{len(chosen)} clouds such as {chosen[0].name}, and {len(each)} such as {each[0].name}"
+            raise InputError(f"{folder}: {kinds}; {ALIKE}, or one kind a folder")
     scans = _by_number(chosen)
     return scans, sorted(set(files) - set(scans))
 
@@ -125,17 +122,17 @@ def _scans(folder: Path) -> tuple[list[Path], list[Path]]:
 def _texts(folder: Path) -> list[Path]:
     """The clouds among text files, sorted by number: those whose names differ in numbers alone, if the first can be
     read as one. Trajectories and notes have this ending, too."""
-    files, forms = _by_number([file for file in folder.glob("[!.]*") if file.suffix.lower() == ".txt"]), Counter[str]()
-    forms.update(form for file in files if "#" in (form := NUMBER.sub("#", file.stem)))
-    form, count = forms.most_common(1)[0] if forms else ("", 0)
-    found = [file for file in files if NUMBER.sub("#", file.stem) == form]
-    if count < 2 or _is_trajectory(found[0]):
+    forms: dict[str, list[Path]] = {}
+    for file in _by_number([file for file in folder.glob("[!.]*") if file.suffix.lower() == ".txt"]):
+        if NUMBER.search(file.stem):
+            forms.setdefault(NUMBER.sub("#", file.stem), []).append(file)
+    found = max(forms.values(), key=len, default=[])
+    if len(found) < 2 or _is_trajectory(found[0]):
         return []
-    try:
+    with suppress(InputError):
         read_points(found[0])
-    except InputError:
-        return []
-    return found
+        return found
+    return []
 
 
 def _by_number(files: Sequence[Path]) -> list[Path]:
@@ -154,9 +151,8 @@ def _trajectory_file(path: Path, poses: str | None, scans: Sequence[Path]) -> Pa
     if len(found) != 1:
         bags = [file.name for file in sorted(path.glob("[!.]*")) if not file.is_dir() and is_bag(file)]
         if bags and not found:
-            raise InputError(
-                f"{path}: clouds without a trajectory, and {', '.join(bags)}; expected one, or the bag itself"
-            )
+            without = f"clouds without a trajectory, and {', '.join(bags)}"
+            raise InputError(f"{path}: {without}; expected one, or the bag itself")
         listed = ", ".join(file.name for file in found) or "no trajectory"
         raise InputError(f"{path}: {listed}; expected one TUM file (.tum, .txt, .csv), or the name of one (--poses)")
     return found[0]

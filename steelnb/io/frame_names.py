@@ -33,10 +33,8 @@ def check_order(world: str, body: str) -> tuple[str, str]:
     """Both names, the drone's empty if it is the world's, which tells nothing. Raises `InputError` if the world has the
     usual name of a drone, and the drone that of a world."""
     if is_body_name(world) and is_world_name(body):
-        raise InputError(
-            f"poses of {body!r} in {world!r}: expected those of the drone in the world, as from tf by "
-            f"--poses '{body}>{world}'"
-        )
+        expected = f"those of the drone in the world, as from tf by --poses '{body}>{world}'"
+        raise InputError(f"poses of {body!r} in {world!r}: expected {expected}")
     return world, "" if body == world else body
 
 

@@ -13,7 +13,7 @@ from steelnb.core.errors import InputError
 from steelnb.core.geometry import transform_points
 from steelnb.core.types import Array
 from steelnb.io.frame_names import are_of_two, is_world_name
-from steelnb.io.rotations import LEVEL, UPRIGHT, heights_of_z
+from steelnb.io.pose_rows import LEVEL, UPRIGHT, heights_of_z
 from steelnb.io.transforms import Placement, Tree
 
 T_OPTICAL_SENSOR = np.array([[0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1.0]])
@@ -92,25 +92,16 @@ def sensor_frames(
         notes.append(f"poses are in {world}, a frame of the drone itself: they are taken for poses in the world")
         way = [body]
     chain = [*(way or filter(None, (world, body)))]
-    if main not in placed and mount is None and is_world_name(main):
-        raise InputError(
-            f"scans are in {main!r}, a frame of the world, which nothing relates to {body!r}; expected scans in the "
-            "frame of the sensor, or --mount if they are"
-        )
-    if main not in placed and mount is None and are_of_two(body, main):
-        raise InputError(
-            f"scans are in {main!r}, poses of {body!r}, and nothing relates them: of two drones by their names; "
-            "expected those of one, or --mount"
-        )
     if main not in placed:
         known[frame == main] = True
-        T_mount, source = np.eye(4), f"no tf_static from {body} to {main or 'the sensor'}: identity assumed"
-        T_mount, source = (T_mount, source) if mount is None else (mount, "as given")
+        T_mount, source = np.eye(4) if mount is None else mount, "as given"
+        if mount is None:
+            _check_unplaced(body, main)
+            source = f"no tf_static from {body} to {main or 'the sensor'}: identity assumed"
+            if parents := [each for each in tree.above(tree.resolve(main, body)) if each != main]:
+                unrelated = f"nothing relates {body} to {parents[0]}: identity assumed"
+                notes.append(f"{parents[0]} → {main} is known, but {unrelated}")
         chain, moved = [*chain, f"{main or 'the sensor'} ({source.rpartition(': ')[2]})"], np.zeros(len(frame), bool)
-        if mount is None and (parents := [each for each in tree.above(tree.resolve(main, body)) if each != main]):
-            notes.append(
-                f"{parents[0]} → {main} is known, but nothing relates {body} to {parents[0]}: identity assumed"
-            )
     else:
         is_world = _is_of_world(tree, world, placed[main].frames)
         first = np.flatnonzero((frame == main) & known)[:1]
@@ -132,6 +123,16 @@ def sensor_frames(
     stamps = np.where(known, stamp_s, np.nan)
     T_sensor_scan = np.linalg.inv(T_mount) @ T_drone_scan
     return Frames(T_mount, stamps, T_sensor_scan, moved, optical, source, " → ".join(chain), tuple(notes))
+
+
+def _check_unplaced(body: str, name: str) -> None:
+    """Raise `InputError` if a frame that nothing relates to the drone cannot be the sensor's by its name."""
+    if is_world_name(name):
+        why = f"scans are in {name!r}, a frame of the world, which nothing relates to {body!r}"
+        raise InputError(f"{why}; expected scans in the frame of the sensor, or --mount if they are")
+    if are_of_two(body, name):
+        why = f"scans are in {name!r}, poses of {body!r}, and nothing relates them: of two drones by their names"
+        raise InputError(f"{why}; expected those of one, or --mount")
 
 
 def _ahead(name: str, T_drone_frame: Array) -> tuple[str, str]:

@@ -2,6 +2,7 @@
 
 import math
 from collections import Counter
+from collections.abc import Callable
 
 import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
@@ -28,11 +29,11 @@ and the share of them by which those of a gyroscope may differ."""
 
 
 def readings_of(
-    rows: Array, R_drone_imu: Array, topic: str, poses: Trajectory, notes: dict[str, None], skipped: Counter[str]
+    rows: Array, R_drone_imu: Array, topic: str, poses: Trajectory, note: Callable[[str], None], skipped: Counter[str]
 ) -> Imu | None:
     """Readings with rising stamps, in m/s² and rad/s, from ``rows (N, 7)``: stamp, acceleration, angular rate.
 
-    Returns None if units or axes are unknown, by gravity and by the ``poses``. ``notes`` receive what is unusual, and
+    Returns None if units or axes are unknown, by gravity and by the ``poses``. ``note`` is told what is unusual, and
     ``skipped`` counts the samples that are left out.
     """
     whole = rows[(np.abs(rows[:, 1:]) < READING_MAX).all(axis=1) & np.isfinite(rows[:, 0])]
@@ -47,11 +48,11 @@ def readings_of(
     are_many, fault = len(rising) >= SAMPLES_MIN, ""
     if unit and GRAVITIES[0] < size * UNITS[unit] / GRAVITY < GRAVITIES[1] and unit != "m/s²":
         force *= UNITS[unit]
-        notes[f"accelerations of {topic} are in {unit}, with a median of {size:.4g}"] = None
+        note(f"accelerations of {topic} are in {unit}, with a median of {size:.4g}")
     elif size > GRAVITY_MAX * GRAVITY:
         fault = f"{size:.5g} at rest, as of raw counts; expected m/s²"
     elif not GRAVITIES[0] < size / GRAVITY < GRAVITIES[1] and are_many:
-        notes[f"accelerations of {topic} have a median of {size:.4g}, those of a drone that hovers 9.8 m/s²"] = None
+        note(f"accelerations of {topic} have a median of {size:.4g}, those of a drone that hovers 9.8 m/s²")
     median_rate = float(np.median(np.linalg.norm(rate, axis=1)))
     if median_rate > RATE_MAX and are_many:
         fault = f"a median rate of {median_rate:.4g}; expected rad/s"
@@ -73,7 +74,7 @@ def readings_of(
         elif degrees := _rate_in_degrees(stamp_s[inside], rate[inside], poses):
             fault = f"a median rate of {degrees:.3g} in turns of {np.radians(degrees):.2g} rad/s; expected rad/s"
     if fault:
-        notes[f"inertial readings of {topic} are left out: {fault}"] = None
+        note(f"inertial readings of {topic} are left out: {fault}")
         return None
     return Imu(stamp_s, force, rate)
 

@@ -54,7 +54,10 @@ def read_las(path: Path) -> Array:
     _check_metres(file, size, begin, records)
     if not np.isfinite(offset).all() or not (np.isfinite(scale) & (scale > 0)).all():
         raise ValueError(f"scales {scale.tolist()}, offsets {offset.tolist()}; expected finite numbers, scales above 0")
-    data = memoryview(file)[begin : _end_of_points(file, size)]
+    # Behind the points stand waveforms (from LAS 1.3 on) or extended records (from 1.4 on).
+    places = [at for at, minor in ((227, 3), (235, 4)) if file[25] >= minor and size >= at + 8]
+    behind = [end for at in places if (end := struct.unpack_from("<Q", file, at)[0])]
+    data = memoryview(file)[begin : min([*behind, len(file)])]
     if not kind & COMPRESSED and len(data) - count * stride >= stride:
         raise ValueError(f"{len(data) // stride} points; expected {count}, as its header says")
     points = _unpack(file, size, begin, records, stride, count) if kind & COMPRESSED else data
@@ -67,13 +70,6 @@ def read_las(path: Path) -> Array:
         are_classes = form < 6 and bool((flags & OTHER_FLAGS).any())  # some programs write classes up to 255 there
         xyz[is_withheld & (not are_classes and np.count_nonzero(is_withheld) < count / 2)] = np.nan
     return xyz
-
-
-def _end_of_points(file: bytes, size: int) -> int:
-    """Where the points end: at the waveforms or the extended records of LAS 1.3 and 1.4, else with the file."""
-    places = [(227, 3), (235, 4)]
-    after = [struct.unpack_from("<Q", file, at)[0] for at, minor in places if file[25] >= minor and size >= at + 8]
-    return min([each for each in after if each > 0] + [len(file)])
 
 
 def _records(file: bytes, at: int, end: int, count: int, extended: bool = False) -> Iterator[tuple[bytes, int, bytes]]:

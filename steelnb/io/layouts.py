@@ -9,7 +9,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from steelnb.core.errors import InputError
-from steelnb.core.types import Array
 
 POINT_TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
 """Datatypes of PointField."""
@@ -61,13 +60,14 @@ def cloud_layout(message: Any) -> Layout:
         columns = size // step
     each = size // (rows * columns)
     if each > step and each % step and size == rows * columns * each == rows * row_step:  # or rows are padded
-        steps_m = [_typical_step(fields, message.data, (rows, columns), (row_step, stride)) for stride in (step, each)]
+        steps_m = [_typical_step(views(message, (rows, columns), (row_step, stride))) for stride in (step, each)]
         if each % _bytes(fields[0]) == 0 and steps_m[1] < SMOOTHER * steps_m[0]:
             notes.append(f"point_step {step} is read as {each}, as row_step and the data say")
             step = each
     row_step, note = _row_step("row_step", row_step, rows, columns, step, size)
-    view = [(field, message.data, (rows, columns), (row_step, step)) for field in fields]
-    order, swapped = _byte_order(bool(message.is_bigendian), [_sample(*each) for each in view])
+    some = np.s_[:: rows // 8 + 1, :: columns // 64 + 1]  # some hundred values
+    samples = [each[some].ravel() for each in views(message, (rows, columns), (row_step, step))]
+    order, swapped = _byte_order(bool(message.is_bigendian), samples)
     notes += [note, swapped]
     integers = {POINT_TYPES[field.datatype] for field in fields if field.datatype < 7}
     notes += [f"x, y and z are integers ({', '.join(sorted(integers))}), taken as millimetres"] if integers else []
@@ -140,18 +140,17 @@ def _row_step(name: str, declared: int, rows: int, columns: int, step: int, size
     raise InputError(f"{name} {declared} and {size} bytes of data; expected {rows} rows of {tight} bytes or more")
 
 
-def _typical_step(fields: list[Any], data: Any, shape: tuple[int, int], strides: tuple[int, int]) -> float:
-    """Median distance between neighbours in the rows, read in the machine's order of bytes; NaN for one column."""
-    axes = [np.ndarray(shape, POINT_TYPES[field.datatype], data, field.offset, strides) for field in fields]
+def views(message: Any, shape: tuple[int, int], strides: tuple[int, int], order: str = "<") -> list[Any]:
+    """The numbers ``(H, W)`` of x, y and z in the bytes of a PointCloud2."""
+    kinds = [(f"{order}{POINT_TYPES[field.datatype]}", field.offset) for field in xyz_fields(message)]
+    return [np.ndarray(shape, kind, message.data, offset, strides) for kind, offset in kinds]
+
+
+def _typical_step(axes: list[Any]) -> float:
+    """Median distance between neighbours in the rows; NaN for one column."""
     with np.errstate(invalid="ignore", over="ignore"):
         apart = np.linalg.norm(np.diff(np.stack(axes).astype(float), axis=2), axis=0)
     return float(np.median(apart[np.isfinite(apart)])) if np.isfinite(apart).any() else np.nan
-
-
-def _sample(field: Any, data: Any, shape: tuple[int, int], strides: tuple[int, int]) -> Array:
-    """Some hundred values of a field, little-endian."""
-    view: Array = np.ndarray(shape, "<" + POINT_TYPES[field.datatype], data, field.offset, strides)
-    return view[:: shape[0] // 8 + 1, :: shape[1] // 64 + 1].ravel()
 
 
 def _byte_order(is_big: bool, samples: list[Any]) -> tuple[str, str]:

@@ -6,7 +6,7 @@ import numpy as np
 
 from steelnb.core.errors import InputError
 from steelnb.core.types import Array
-from steelnb.io.layouts import DEPTHS, POINT_TYPES, cloud_layout, depth_encoding, depth_layout, no_return, xyz_fields
+from steelnb.io.layouts import DEPTHS, cloud_layout, depth_encoding, depth_layout, no_return, views
 
 CLOUD, IMAGE, CAMERA = "sensor_msgs/msg/PointCloud2", "sensor_msgs/msg/Image", "sensor_msgs/msg/CameraInfo"
 COMPRESSED_IMAGE, IMU, PATH = "sensor_msgs/msg/CompressedImage", "sensor_msgs/msg/Imu", "nav_msgs/msg/Path"
@@ -55,11 +55,9 @@ def cloud_points(message: Any) -> Array:
     """
     shape, strides, order, _ = cloud_layout(message)
     points = np.empty((*shape, 3))
-    for k, field in enumerate(xyz_fields(message) if points.size else ()):
-        kind = np.dtype(order + POINT_TYPES[field.datatype])
-        raw = np.ndarray(shape, kind, message.data, field.offset, strides)
+    for k, raw in enumerate(views(message, shape, strides, order) if points.size else ()):
         points[..., k] = raw
-        if kind.kind != "f":
+        if raw.dtype.kind != "f":
             points[..., k] *= INTEGER_M
             points[..., k][no_return(raw)] = np.nan
     points[~np.isfinite(points[..., 0] + points[..., 1] + points[..., 2])] = np.nan
@@ -124,6 +122,7 @@ def camera_matrix(camera: CameraInfo, height: int, width: int) -> tuple[Array, s
     if whole == (width, height):
         centre = f"({K[0, 2]:g}, {K[1, 2]:g})"
         raise InputError(f"CameraInfo with principal point {centre}; expected one in its {width} × {height} pixels")
+    sizes = f"image of {width} × {height}, CameraInfo of {whole[0]} × {whole[1]}"
     part = (part_width, part_height) if part_width and part_height else whole
     for begin, size, binning in (((x, y), part, camera.binning), ((0, 0), whole, (1, 1))):
         binned = size[0] // binning[0], size[1] // binning[1]
@@ -133,10 +132,8 @@ def camera_matrix(camera: CameraInfo, height: int, width: int) -> tuple[Array, s
                 scale = np.array(binning) * (ratio if up is binned else 1 / ratio)
                 K[:2, 2] -= begin
                 K[:2] /= scale[:, None]
-                return K, f"image of {width} × {height}, CameraInfo of {whole[0]} × {whole[1]}: its K is scaled"
-    raise InputError(
-        f"image of {width} × {height}, CameraInfo of {whole[0]} × {whole[1]}; expected the same size or a whole ratio"
-    )
+                return K, f"{sizes}: its K is scaled"
+    raise InputError(f"{sizes}; expected the same size or a whole ratio")
 
 
 def pose_numbers(message: Any, kind: str) -> list[float]:
@@ -145,11 +142,6 @@ def pose_numbers(message: Any, kind: str) -> list[float]:
         return numbers(message.transform.translation, message.transform.rotation)
     pose = message.pose if kind == POSE_STAMPED else message.pose.pose
     return numbers(pose.position, pose.orientation)
-
-
-def stamped_pose(message: Any) -> tuple[float, ...]:
-    """Stamp, position and quaternion xyzw of a PoseStamped."""
-    return stamp_of(message), *pose_numbers(message, POSE_STAMPED)
 
 
 def stamp_of(message: Any) -> float:

@@ -4,9 +4,6 @@ from collections import Counter
 from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
-import numpy as np
-
-from steelnb.core.errors import InputError
 from steelnb.core.types import Array, Imu, IntArray, Trajectory
 
 Walk = Callable[[IntArray], Iterator[Callable[[], Array]]]
@@ -24,18 +21,3 @@ class Opened(NamedTuple):
     facts: dict[str, str]
     imu: Imu | None
     skipped: Counter[str]
-
-
-def joined_parts(parts: list[Callable[[], Array]]) -> Array:
-    """The points of all parts of a scan that can be read. Raises `InputError` if there are none."""
-    if len(parts) == 1:
-        return parts[0]()
-    found, faults = list[Array](), list[InputError]()
-    for part in parts:
-        try:
-            found.append(part().reshape(-1, 3))
-        except InputError as fault:
-            faults.append(fault)
-    if not found:
-        raise faults[0]
-    return np.concatenate(found)

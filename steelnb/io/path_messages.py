@@ -9,7 +9,7 @@ import numpy as np
 
 from steelnb.core.errors import InputError
 from steelnb.core.types import Array
-from steelnb.io.messages import stamped_pose
+from steelnb.io.messages import POSE_STAMPED, pose_numbers, stamp_of
 from steelnb.io.scanning import Raw
 
 SAME_PLACE_M = 0.05
@@ -20,10 +20,10 @@ LENGTH_MIN = 12 + 7 * 8
 
 class PathMessages:
     """The ``longest`` Path of a topic, the last of its length, and rows of stamp and pose of some ``earlier`` ones that
-    did not grow. ``notes`` receive what is unusual."""
+    did not grow. ``note`` is told what is unusual."""
 
-    def __init__(self, decode: Callable[[Raw], Any], notes: dict[str, None]) -> None:
-        self._decode, self._notes = decode, notes
+    def __init__(self, decode: Callable[[Raw], Any], note: Callable[[str], None]) -> None:
+        self._decode, self._note = decode, note
         self._ends: list[Array] = []
         self.longest: Raw | None = None
         self.earlier: list[Array] = []
@@ -32,7 +32,11 @@ class PathMessages:
     def add(self, raw: Raw) -> None:
         """Keep the longest Path. Those that do not grow have lost their first poses: of them, one is decoded for every
         eighth of its poses, since decoding all takes the square of their number."""
-        self._ends += [] if len(raw.data) < LENGTH_MIN else [_end(raw)]
+        if len(raw.data) >= LENGTH_MIN:
+            ends = bytes(raw.data[:12]) + bytes(raw.data[-56:])  # a stamp after four bytes; seven numbers
+            order = ">" if raw.encoding == "cdr" and not ends[1] & 1 else "<"
+            second, part, *pose = struct.unpack(f"{order}4x2I7d", ends)
+            self._ends.append(np.array([(second * 10**9 + part) / 10**9, *pose]))
         self._until_next -= 1
         if self.longest is not None and len(raw.data) <= len(self.longest.data) and self._until_next <= 0:
             with suppress(InputError):
@@ -66,16 +70,9 @@ class PathMessages:
             what = f"{topic}: {len(rows)} poses with one stamp, {rows[0, 0]:.3f} s"
             raise InputError(f"{what}; expected that of each, or another topic of poses (--poses)")
         note = f"poses of {topic} have no stamps of their own; each has that of the message that ends with it"
-        self._notes[note] = None
+        self._note(note)
         return np.array(self._ends)
 
     def _rows(self, raw: Raw) -> Array:
-        return np.array([stamped_pose(each) for each in self._decode(raw).poses], dtype=float).reshape(-1, 8)
-
-
-def _end(raw: Raw) -> Array:
-    """Stamp and last pose ``(8,)`` of a Path, from the two ends of its bytes."""
-    data = bytes(raw.data[:12]) + bytes(raw.data[-56:])  # a stamp after four bytes; seven numbers
-    order = ">" if raw.encoding == "cdr" and not data[1] & 1 else "<"
-    second, part, *pose = struct.unpack(f"{order}4x2I7d", data)
-    return np.array([(second * 10**9 + part) / 10**9, *pose])
+        poses = [(stamp_of(each), *pose_numbers(each, POSE_STAMPED)) for each in self._decode(raw).poses]
+        return np.array(poses, dtype=float).reshape(-1, 8)

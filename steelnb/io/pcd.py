@@ -1,8 +1,9 @@
 """Reader of PCD files, after the format's description by the Point Cloud Library (version 0.7)."""
 
 import struct
-from dataclasses import dataclass
+from itertools import accumulate
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -18,23 +19,18 @@ LZF_RATIO_MAX = 88
 KINDS = {("F", 4): "<f4", ("F", 8): "<f8"} | {(t, n): f"<{t.lower()}{n}" for t in "IU" for n in (1, 2, 4, 8)}
 
 
-@dataclass(frozen=True)
-class Header:
-    """``number``: index of x, y and z among the fields; ``size``, ``count``: bytes of an element, elements, of each
-    field; ``kind``: types of x, y and z; ``shape``: rows and columns, and ``points``, 0 if not given; ``encoding``:
-    ``ascii``, ``binary`` or ``binary_compressed``."""
+class Header(NamedTuple):
+    """``columns`` of x, y and z in a line of ``width`` numbers; ``fields``: their types and offsets in a record of
+    ``stride`` bytes; ``shape``: rows and columns, and ``points``, 0 if not given; ``encoding``: ``ascii``, ``binary``
+    or ``binary_compressed``."""
 
-    number: list[int]
-    size: list[int]
-    count: list[int]
-    kind: list[str]
+    columns: list[int]
+    width: int
+    fields: list[tuple[str, int]]
+    stride: int
     shape: tuple[int, int]
     points: int
     encoding: str
-
-    def offset(self, k: int) -> int:
-        """Bytes of a point before field ``k``; for the number of fields: the size of a point."""
-        return sum(size * count for size, count in zip(self.size[:k], self.count[:k], strict=True))
 
     def chosen(self, fits: int) -> int:
         """Number of points. If POINTS contradicts WIDTH and HEIGHT, the one that ``fits`` the data is right."""
@@ -52,37 +48,32 @@ def read_pcd(path: Path) -> Array:
     """
     file = path.read_bytes()
     header, data = _header(file)
-    stride = header.offset(len(header.size))
-    fields = [(kind, header.offset(k)) for kind, k in zip(header.kind, header.number, strict=True)]
+    stride = header.stride
     if header.encoding == "ascii":
-        begins = [sum(header.count[:k]) for k in header.number]
-        text = plain_nan(bytes(data))
-        points = Table(text, sum(header.count), first=file[: len(file) - len(data)].count(b"\n") + 1).values(begins)
+        line = file[: len(file) - len(data)].count(b"\n") + 1
+        points = Table(plain_nan(bytes(data)), header.width, first=line).values(header.columns)
         if header.chosen(len(points)) != len(points):
             raise ValueError(f"{len(points)} lines of points; its header says {header.chosen(len(points))}")
     elif header.encoding == "binary":
         count = header.chosen(len(data) // max(stride, 1))
-        points = xyz_of(data, count, stride, fields)
+        points = xyz_of(data, count, stride, header.fields)
         more = len(data) - count * stride
         why = rewritten(data) if more else ""
         if (more >= stride or why) and any(data[count * stride :]):
-            raise ValueError(
-                f"{len(data)} bytes of points; expected {count} of {stride} bytes each, as its header says{why}"
-            )
+            expected = f"expected {count} of {stride} bytes each, as its header says{why}"
+            raise ValueError(f"{len(data)} bytes of points; {expected}")
     elif header.encoding == "binary_compressed":
         if len(data) < 8:
             raise ValueError("no data after its header")
         packed, size = struct.unpack_from("<II", data)
         count = header.chosen(size // max(stride, 1))
         if packed > len(data) - 8 or size > LZF_RATIO_MAX * packed or size != count * stride:
-            raise ValueError(
-                f"{len(data) - 8} bytes hold {packed}, and {size} uncompressed; expected {count} × {stride}"
-            )
-        unpacked = lzf_unpacked(np.frombuffer(data, np.uint8, packed, 8), size).data
+            held = f"{len(data) - 8} bytes hold {packed}, and {size} uncompressed"
+            raise ValueError(f"{held}; expected {count} × {stride}")
+        whole = lzf_unpacked(np.frombuffer(data, np.uint8, packed, 8), size).data
         # Each field of all points stands in one piece.
-        points = np.stack(
-            [xyz_of(unpacked[n * count :], count, int(kind[2:]), [(kind, 0)] * 3)[:, 0] for kind, n in fields], -1
-        )
+        axes = [xyz_of(whole[n * count :], count, int(kind[2:]), [(kind, 0)] * 3)[:, 0] for kind, n in header.fields]
+        points = np.stack(axes, -1)
     else:
         raise ValueError(f"DATA {header.encoding[:40]}; expected ascii, binary or binary_compressed")
     rows, columns = header.shape
@@ -114,16 +105,18 @@ def _header(file: bytes) -> tuple[Header, memoryview]:
         named, given = " ".join(fields)[:80], " ".join(types)[:40]
         raise ValueError(f"FIELDS {named}, TYPE {given}; expected x, y and z once each, and a type for each field")
     number = [fields.index(axis) for axis in "xyz"]
-    kinds = [KINDS.get((types[k], size[k])) for k in number]
-    if None in kinds or [count[k] for k in number] != [1, 1, 1]:
+    kinds = [KINDS.get((types[k], size[k]), "") for k in number]
+    if "" in kinds or [count[k] for k in number] != [1, 1, 1]:
         described = ", ".join(f"{types[k]} of {size[k]} bytes × {count[k]}" for k in number)
         raise ValueError(f"x, y and z are {described}; expected F of 4 or 8, I or U of 1, 2, 4 or 8, once each")
     one = {"WIDTH": ["0"], "HEIGHT": ["1"], "POINTS": ["0"], "DATA": [""]} | words
     (columns,), (rows,), (points,) = (_numbers(one, key, 1) for key in ("WIDTH", "HEIGHT", "POINTS"))
-    encoding = (one["DATA"] or [""])[0].lower()
-    return Header(number, size, count, [str(kind) for kind in kinds], (rows, columns), points, encoding), memoryview(
-        file
-    )[begin:]
+    before, offset = [0, *accumulate(count)], [0, *accumulate(n * each for n, each in zip(count, size, strict=True))]
+    fields_xyz = [(kind, offset[k]) for kind, k in zip(kinds, number, strict=True)]
+    encoding, data = (one["DATA"] or [""])[0].lower(), memoryview(file)[begin:]
+    return Header(
+        [before[k] for k in number], before[-1], fields_xyz, offset[-1], (rows, columns), points, encoding
+    ), data
 
 
 def _numbers(words: dict[str, list[str]], key: str, expected: int) -> list[int]:

@@ -52,8 +52,7 @@ def read_ply(path: Path) -> Array:
     if any(not isinstance(types[k], str) for k in axes):
         raise ValueError("x, y and z of its vertices are lists; expected a number each")
     if order:
-        begin = _end_of(data, order, elements[:number])
-        return _from_bytes(data, begin, count, order, types, axes, is_last)
+        return _from_bytes(data, order, elements[: number + 1], axes, is_last)
     before = sum(count for _, count, _ in elements[:number])
     text = plain_nan(bytes(data))
     text = b"".join(text.splitlines(keepends=True)[before:]) if before else text
@@ -68,34 +67,25 @@ def read_ply(path: Path) -> Array:
     return points
 
 
-def _end_of(data: memoryview, order: str, elements: list[Element]) -> int:
-    """Where some elements end that are the first in the data."""
-    end = 0
-    for _, count, properties in elements if len(data) else ():
-        types = [_type(words) for words in properties]
-        if all(isinstance(each, str) for each in types):
-            end += count * sum(np.dtype(each).itemsize for each in types)
-        elif count:
-            end = walked(data, end, count, order, types)[1]
-    return end
-
-
-def _from_bytes(
-    data: memoryview, begin: int, count: int, order: str, types: list[Type], axes: list[int], is_last: bool
-) -> Array:
-    """Vertices ``(N, 3)`` of a binary file, from byte ``begin`` on; ``axes``: numbers of the properties x, y and z."""
-    plain = [order + each for each in types if isinstance(each, str)]
-    sizes = [np.dtype(each).itemsize for each in plain]
-    if len(plain) == len(types):
-        end = begin + count * sum(sizes)
-        points = [(plain[k], sum(sizes[:k])) for k in axes]
-        found = xyz_of(data[min(begin, len(data)) :], count, sum(sizes), points)
+def _from_bytes(data: memoryview, order: str, elements: list[Element], axes: list[int], is_last: bool) -> Array:
+    """Vertices ``(N, 3)`` of a binary file from the last of some ``elements``; ``axes``: numbers of the properties x, y
+    and z; ``is_last``: whether it is the last of the file."""
+    at, end, fields = 0, 0, None
+    for _, count, properties in elements if len(data) else elements[-1:]:
+        types, at = [_type(words) for words in properties], end
+        plain = [order + each for each in types if isinstance(each, str)]
+        sizes = [np.dtype(each).itemsize for each in plain]
+        if len(plain) == len(types):
+            fields, end = None, at + count * sum(sizes)
+        else:
+            fields, end = walked(data, at, count, order, types)
+    if fields is None:
+        found = xyz_of(data[at:], count, sum(sizes), [(plain[k], sum(sizes[:k])) for k in axes])
     else:
-        at, end = walked(data, min(begin, len(data)), count, order, types)
         bytes_of, found = np.frombuffer(data, np.uint8), np.empty((count, 3))
         for axis, k in enumerate(axes):
             kind = np.dtype(f"{order}{types[k]}")
-            found[:, axis] = bytes_of[at[:, k, None] + np.arange(kind.itemsize)].view(kind)[:, 0]
+            found[:, axis] = bytes_of[fields[:, k, None] + np.arange(kind.itemsize)].view(kind)[:, 0]
     if is_last and bytes(data[end:][: sum(sizes)]).strip():
         why = rewritten(data)
         raise ValueError(f"more bytes than those of {count} vertices of {sum(sizes)} bytes, as its header says{why}")

@@ -1,7 +1,8 @@
-"""Which rows of stamp, position and quaternion xyzw are poses of a drone."""
+"""Rows of stamp, position and quaternion xyzw: which are poses of a drone, and in which order its quaternions are."""
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from steelnb.core.arrays import COORDINATE_MAX_M
 from steelnb.core.types import Array
@@ -14,6 +15,14 @@ FAR_RUN, FAR_SHARE = 3, 0.1
 """So many poses in a row, and this share of all, or one, may be far off: more are another map, or in another unit."""
 JUMP_SHARE = 0.5
 """Poses jump to and fro if the median distance to the second next is less than this share of that to the next."""
+ROTATION_TOLERANCE = 1e-2
+"""Maximum error of rotation matrices, beyond which the numbers are something else."""
+UPRIGHT, UPRIGHT_SHARE = 0.7, 0.9
+"""Minimum cosine between the vertical and the z axis of what stands upright, and share of the poses that have it, by
+which a drone does."""
+LEVEL = 0.2
+"""Maximum sine between the horizontal and an axis that is level, as one across the image is; drones bank by more, but
+seldom longer."""
 
 
 def are_valid(rows: Array) -> NDArray[np.bool_]:
@@ -61,3 +70,37 @@ def jump_m(rows: Array) -> float:
         return 0.0
     next_m, second_m = (np.median(np.linalg.norm(rows[k:, 1:4] - rows[:-k, 1:4], axis=1)) for k in (1, 2))
     return float(next_m) if second_m < JUMP_SHARE * next_m else 0.0
+
+
+def xyzw_of(rows: Array, columns: int) -> Array | None:
+    """Quaternions ``(N, 4)`` of the rotations in matrices of three rows and 3 or 4 ``columns``, ``rows (N, 9 or 12)``,
+    NaN where these are; None if they are no rotations."""
+    R, xyzw = rows.reshape(-1, 3, columns)[:, :, :3], np.full((len(rows), 4), np.nan)
+    R = R[is_finite := np.isfinite(R).all(axis=(1, 2))]
+    error = np.abs(R @ R.transpose(0, 2, 1) - np.eye(3)).max(initial=0.0)
+    if error > ROTATION_TOLERANCE or (np.linalg.det(R) < 0).any():
+        return None
+    xyzw[is_finite] = Rotation.from_matrix(R).as_quat()
+    return xyzw
+
+
+def heights_of_z(quaternions: Array) -> tuple[Array, Array]:
+    """Cosine ``(N,)`` between the vertical and the z axis of rotations, if ``quaternions (N, 4)`` are x, y, z, w, and
+    if they are w, x, y, z."""
+    as_xyzw, as_wxyz = (Rotation.from_quat(q).as_matrix()[:, 2, 2] for q in (quaternions, quaternions[:, [1, 2, 3, 0]]))
+    return as_xyzw, as_wxyz
+
+
+def w_is_first(quaternions: Array) -> bool | None:
+    """Whether a drone with ``quaternions (N, 4)`` is upright if they are w, x, y, z, and in no usual attitude if they
+    are x, y, z, w: neither upright nor upside down, as with z down, nor with z level, as of a camera. None if it is
+    upright in both orders."""
+    q = quaternions[np.isfinite(quaternions).all(axis=1) & quaternions.any(axis=1)]
+    if not len(q):
+        return False
+    as_xyzw, as_wxyz = heights_of_z(q)
+    if (as_wxyz > UPRIGHT).mean() <= UPRIGHT_SHARE:
+        return False
+    if (as_xyzw > UPRIGHT).mean() > UPRIGHT_SHARE:
+        return None
+    return not ((as_xyzw < -UPRIGHT).mean() > UPRIGHT_SHARE or np.median(np.abs(as_xyzw)) < LEVEL)

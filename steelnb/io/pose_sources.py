@@ -2,6 +2,7 @@
 
 import os
 import re
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -11,7 +12,7 @@ from steelnb.core.types import Array, Trajectory
 from steelnb.io import messages as ros
 from steelnb.io.containers import Container
 from steelnb.io.folders import TRAJECTORIES
-from steelnb.io.frame_names import is_world_name
+from steelnb.io.frame_names import is_world_name, namespace
 from steelnb.io.headers import Headers
 from steelnb.io.transforms import Tree
 
@@ -50,7 +51,8 @@ def pose_source(bag: Container, name: str | None, scans: str) -> PoseSource:
     By default the only topic of Odometry or PoseStamped, else tf, else the only one of another type with poses. Left
     out are topics of goals by their names, and those with one or two poses for many scans; see also `settled`.
     """
-    tf = _tf_topics(bag, scans)
+    tf = tuple(bag.of_type(*ros.TF))  # of several namespaces that of the scans, since drones have frames alike
+    tf = tuple(topic for topic in tf if scans.startswith(f"{namespace(topic)}/")) or tf
     first, notes = bag.of_type(ros.ODOMETRY, ros.POSE_STAMPED), list[str]()
     others = bag.of_type(ros.POSE_COVARIANCE, ros.TRANSFORM, ros.PATH)
     if name is None:
@@ -63,8 +65,8 @@ def pose_source(bag: Container, name: str | None, scans: str) -> PoseSource:
             notes += [_left_out(topic, OF_GOAL) for topic in goals]
             first = [topic for topic in first if topic not in goals]
     if name in bag.of_type(*ros.TF):
-        space = name.rpartition("/")[0]
-        return PoseSource(tuple(t for t in bag.of_type(*ros.TF) if t.rpartition("/")[0] == space), uses_tf=True)
+        same = [topic for topic in bag.of_type(*ros.TF) if namespace(topic) == namespace(name)]
+        return PoseSource(tuple(same), uses_tf=True)
     if name and name not in bag.types:
         if os.path.isfile(name):  # Path.is_file raises for a name that is too long
             return PoseSource(tf, file=name)
@@ -72,7 +74,7 @@ def pose_source(bag: Container, name: str | None, scans: str) -> PoseSource:
             objects = tuple(bag.of_type(ros.ODOMETRY, ros.POSE_STAMPED, ros.POSE_COVARIANCE, ros.TRANSFORM))
             return PoseSource(tf, uses_tf=True, topics=objects, pair=(pair[1], pair[2]))
     if name and name not in bag.types and os.path.splitext(name)[1].lower() in TRAJECTORIES:
-        raise InputError(f"{bag.path}: no topic and no file {name!r}; expected a topic of poses, or a trajectory")
+        raise InputError(f"no topic and no file {name!r}; expected a topic of poses, or a trajectory")
     if name is not None or first:
         topic = bag.choose("poses", name, [*first, *others] if name is not None else first)
         return PoseSource(tf, False, (topic,), "", None, name is not None, _is_goal(bag, topic), tuple(notes))
@@ -111,8 +113,10 @@ def settled(source: PoseSource, headers: Headers, tree: Tree, sensor: str) -> Po
         why = OF_GOAL
     elif not child and not is_world_name(frame) and frame != body and {frame, body} <= {*tree.above(sensor)}:
         why = f"they are in {frame}, which moves with {body}" if body in tree.above(frame) else ""
-    elif tf_m > REACH_MIN_M and np.ptp(rows[:, 2:], axis=0).max() < STILL and _moves_on(path):
-        why = f"they stay, and {body} moves by {tf_m:.2g} m on tf"
+    elif tf_m > REACH_MIN_M and np.ptp(rows[:, 2:], axis=0).max() < STILL:
+        steps_m = np.linalg.norm(np.diff(path.position, axis=0), axis=1)
+        moves_on = (steps_m > 0.1 * STILL).mean() > MOVING_SHARE
+        why = f"they stay, and {body} moves by {tf_m:.2g} m on tf" if moves_on else ""
     if why:
         return PoseSource(source.tf, uses_tf=True, notes=(*source.notes, _left_out(topic, why)))
     if max(own_m, tf_m) > REACH_MIN_M and not REACHES[0] < own_m / max(tf_m, STILL) < REACHES[1]:
@@ -121,12 +125,12 @@ def settled(source: PoseSource, headers: Headers, tree: Tree, sensor: str) -> Po
     return source
 
 
-def drone_on_tf(tree: Tree, sensor: str, notes: dict[str, None]) -> tuple[str, str]:
+def drone_on_tf(tree: Tree, sensor: str, note: Callable[[str], None]) -> tuple[str, str]:
     """World and frame of the drone that carries the sensor, with a note if the transform is sent the other way. Raises
     `InputError` with the choices."""
     world, body = tree.drone(sensor)
     if (body, world) in tree.edges:
-        notes[f"{body} → {world} on tf is an odometry sent inverted: it is read as {body} in {world}"] = None
+        note(f"{body} → {world} on tf is an odometry sent inverted: it is read as {body} in {world}")
     return world, body
 
 
@@ -143,11 +147,6 @@ def _carried(tree: Tree, sensor: str, frame: str) -> tuple[str, str, Trajectory]
         return world, body, tree.poses(world, body)
     except InputError:
         return None
-
-
-def _moves_on(path: Trajectory) -> bool:
-    """Whether most poses differ from the one before."""
-    return bool((np.linalg.norm(np.diff(path.position, axis=0), axis=1) > 0.1 * STILL).mean() > MOVING_SHARE)
 
 
 def _reaches(*paths: Array) -> list[float]:
@@ -172,9 +171,3 @@ def _is_goal(bag: Container, topic: str) -> bool:
 
 def _left_out(topic: str, why: str) -> str:
     return f"poses of {topic} are left out: {why} (--poses {topic} takes them)"
-
-
-def _tf_topics(bag: Container, scans: str) -> tuple[str, ...]:
-    """Topics of transforms: of several namespaces those that the scans are in, since drones have frames alike."""
-    found = bag.of_type(*ros.TF)
-    return tuple([topic for topic in found if scans.startswith(f"{topic.rpartition('/')[0]}/")] or found)

@@ -2,6 +2,7 @@
 
 import os
 from collections.abc import Callable, Iterator, Sequence
+from itertools import takewhile
 from pathlib import Path
 
 import numpy as np
@@ -11,10 +12,10 @@ from steelnb.core.checks import checked_pose
 from steelnb.core.errors import InputError
 from steelnb.core.files import check_exists, display_name
 from steelnb.core.types import Array, Flight, IntArray, Scan, Trajectory
-from steelnb.io.bags import Clock, open_bag
-from steelnb.io.clocks import OF_BAG, ONE_CLOCK, rising_stamps
+from steelnb.io.bags import open_bag
+from steelnb.io.clocks import OF_BAG, ONE_CLOCK, Clock, rising_stamps
 from steelnb.io.clouds import READERS
-from steelnb.io.containers import bags_in, is_bag
+from steelnb.io.containers import is_bag
 from steelnb.io.encodings import foreign_file
 from steelnb.io.folders import TRUE, named_file, open_clouds
 from steelnb.io.frames import note_on_rotations
@@ -85,7 +86,9 @@ def read_flight(
         if clock == "bag" or imu:
             what = f"IMU {imu}" if imu else "clock 'bag'"
             raise InputError(f"{path}: {what}; expected a bag, as clouds in files have only their own stamps")
-        if bags := bags_in(path):
+        held = [each for each in sorted(path.glob("[!.]*")) if each.suffix.lower() in READERS or is_bag(each)]
+        bags = [each.name for each in held if each.suffix.lower() not in READERS]
+        if bags and len(bags) == len(held):
             raise InputError(f"{path}: bags in it: {', '.join(bags)}; expected one of them")
         opened = open_clouds(path, scans, poses)
         opened = opened._replace(stamp_s=opened.stamp_s + time_offset_s)
@@ -108,18 +111,10 @@ def read_flight(
     poses_at = Trajectory(stamp_s[number], T_world_drone[covered])
     skipped_counts = {reason: count for reason, count in skipped.items() if count}
     found = Scans(walk, number, poses_at.stamp_s)
-    _check_scans(path, found)
+    faults = [*takewhile(bool, (scan.fault for scan in found))]
+    if len(faults) == len(found):
+        raise InputError(f"{path}: none of {len(found)} scans can be read; the first: {faults[0]}")
     return Flight(found, poses_at, mount, readings, display_name(path.resolve()), facts, skipped_counts)
-
-
-def _check_scans(path: Path, scans: "Scans") -> None:
-    """Raise `InputError` with the first scan's fault if none has points. Reads up to the first that has."""
-    first = ""
-    for scan in scans:
-        if not scan.fault:
-            return
-        first = first or scan.fault
-    raise InputError(f"{path}: none of {len(scans)} scans can be read; the first: {first}")
 
 
 @checks_arguments

@@ -40,12 +40,13 @@ def walked(
     The records begin at ``at``. ``order``: of bytes; ``types``: of each field as of NumPy, or those of a list's length
     and of its items. Raises ValueError if the data are too short.
     """
-    if count > len(data) - at:  # each record has a byte or more
-        raise ValueError(f"{len(data) - at} bytes; expected {count} records with lists, as its header says")
+    if count > (left := max(len(data) - at, 0)):  # each record has a byte or more
+        raise ValueError(f"{left} bytes; expected {count} records with lists, as its header says")
     begin = np.empty((count, len(types)), dtype=np.int64)
-    sizes = [(None, np.dtype(each).itemsize) if isinstance(each, str) else _list_of(order, *each) for each in types]
+    lengths = [None if isinstance(each, str) else struct.Struct(order + np.dtype(each[0]).char) for each in types]
+    sizes = [np.dtype(each if isinstance(each, str) else each[1]).itemsize for each in types]
     for record in range(count):
-        for field, (length, size) in enumerate(sizes):
+        for field, (length, size) in enumerate(zip(lengths, sizes, strict=True)):
             begin[record, field] = at
             if length is None:
                 at += size
@@ -55,8 +56,3 @@ def walked(
             if at > len(data) or (length is not None and at == begin[record, field]):
                 raise ValueError(f"{len(data)} bytes end in record {record}; expected {count}, as its header says")
     return begin, at
-
-
-def _list_of(order: str, length: str, item: str) -> tuple[struct.Struct, int]:
-    """Reader of a list's length, and the size of an item."""
-    return struct.Struct(order + np.dtype(length).char), np.dtype(item).itemsize

@@ -39,7 +39,10 @@ def stamps_of(names: Sequence[str], prior: Trajectory) -> tuple[Array | None, st
     """
     dates = [_unix(name) or "" for name in names]
     dated_s = np.array([float(date) for date in dates]) if all(dates) else None
-    is_of_poses = dated_s is not None and _fits(dated_s, prior)
+    is_of_poses = dated_s is not None and unit_of_stamps(prior.stamp_s) == "s"
+    if dated_s is not None and is_of_poses:  # as many of both are pairs otherwise: they must overlap for long
+        share_min = OVERLAP_MIN if len(prior) == len(dated_s) > 1 else 0.0
+        is_of_poses = _overlap(np.sort(dated_s), prior.stamp_s) > share_min
     if dated_s is not None:  # else the digits of a date are those of no stamp
         names = [DATE.sub(date if is_of_poses else "", name, count=1) for name, date in zip(names, dates, strict=True)]
     numbers = [NUMBER.findall(MEASURE.sub("", name))[::-1] for name in names]
@@ -52,15 +55,6 @@ def stamps_of(names: Sequence[str], prior: Trajectory) -> tuple[Array | None, st
                 return stamp_s, f"stamped by their names ({'date and time, UTC' if is_date else units})"
     is_other = dated_s is not None and not is_of_poses
     return None, f"{'dates of another time than the poses' if is_other else 'no stamps'} in their names"
-
-
-def _fits(stamp_s: Array, prior: Trajectory) -> bool:
-    """Whether stamps overlap the poses. If there are as many of both, which makes pairs of them otherwise, they must
-    overlap for most of the time."""
-    if unit_of_stamps(prior.stamp_s) != "s":
-        return False
-    share = _overlap(np.sort(stamp_s), prior.stamp_s)
-    return share > (OVERLAP_MIN if len(prior) == len(stamp_s) > 1 else 0.0)
 
 
 def _unix(name: str) -> str | None:

@@ -6,6 +6,7 @@ import re
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import takewhile
 
 import numpy as np
 import pandas as pd
@@ -53,10 +54,11 @@ class Table:
                 return found[0]
         return None
 
-    def values(self, wanted: Sequence[int], rows: int | None = None) -> Array:
-        """Columns ``wanted (C,)`` of all lines, or of the first ``rows``, ``(N, C)``; missing numbers are NaN.
+    def values(self, wanted: Sequence[int], rows: int | None = None, more: Sequence[int] = ()) -> Array:
+        """Columns ``wanted (C,)`` of all lines, or of the first ``rows``, ``(N, C or more)``; missing numbers are NaN.
 
-        Raises ValueError that names the line which has another number of fields, or a text where a number is wanted.
+        Those of ``more`` follow, up to the first with a text. Raises ValueError that names the line which has another
+        number of fields, or a text where a number is wanted.
         """
         if self.columns > 8 and self.columns * self.data.count(b"\n") > len(self.data):
             self._check((), rows)  # pandas would fill up short lines, in much memory
@@ -77,7 +79,8 @@ class Table:
             self._check((), rows)
         if self.declared is not None and self.declared != len(table):
             raise ValueError(f"{len(table)} lines of numbers; expected {self.declared}, as its first line says")
-        return table[list(wanted)].to_numpy(np.float64)
+        numeric = takewhile(lambda k: table[k].dtype.kind in "iuf", more)
+        return table[[*wanted, *numeric]].to_numpy(np.float64)
 
     def _check(self, wanted: Sequence[int], rows: int | None) -> None:
         """Raise ValueError for the first line with too many or too few fields, or without a number that is wanted."""

@@ -34,7 +34,7 @@ def scan_topic(bag: Container, name: str | None) -> str:
     candidates = [*clouds, *images] if name else clouds or images
     if name in packed or (packed and not candidates):
         topic = name if name in packed else next(iter(packed))
-        raise InputError(f"{bag.path}: {topic} is {packed[topic]}")
+        raise InputError(f"{topic} is {packed[topic]}")
     if faults and not candidates:
         raise faults[0]
     return bag.choose(SCANS, name, candidates)
@@ -58,7 +58,7 @@ def depth_images(bag: Container, name: str | None) -> tuple[list[str], list[Inpu
                 break
             if "depth" in topic.lower():
                 expected = f"expected a depth image, {', '.join(DEPTHS)}"
-                fault = fault or InputError(f"{bag.path}: {topic} has encoding {encoding!r}; {expected}")
+                fault = fault or InputError(f"{topic} has encoding {encoding!r}; {expected}")
         else:
             faults += [fault] if fault else []
     return found, faults
@@ -116,8 +116,6 @@ def camera_topic(bag: Container, images: str, frame_of: dict[str, str]) -> str:
     found = [name for name in found if frame_of[name] == frame_of[images]] or found if len(found) > 1 else found
     topic = bag.choose(f"CameraInfo of {images}", None, found)
     if topic not in (*near[0], *near[1]) and len({frame_of[topic], frame_of[images], ""}) == 3:
-        raise InputError(
-            f"{bag.path}: {images} is in frame {frame_of[images]!r}, and the only CameraInfo, {topic}, in"
-            f" {frame_of[topic]!r}; expected that of its own camera"
-        )
+        both = f"{images} is in frame {frame_of[images]!r}, and the only CameraInfo, {topic}, in {frame_of[topic]!r}"
+        raise InputError(f"{both}; expected that of its own camera")
     return topic

@@ -15,8 +15,7 @@ from steelnb.core.errors import InputError
 from steelnb.core.files import new_file, reading
 from steelnb.core.types import Array, Trajectory
 from steelnb.io.column_names import QUATERNION, ROLES, ROTATIONS, STAMPS, TUM
-from steelnb.io.pose_rows import SPEED_MAX, are_far, are_valid
-from steelnb.io.rotations import w_is_first, xyzw_of
+from steelnb.io.pose_rows import SPEED_MAX, are_far, are_valid, w_is_first, xyzw_of
 from steelnb.io.table_form import read_table
 from steelnb.io.text import Table
 
@@ -49,12 +48,8 @@ def read_trajectory(path: Path | str, skipped: Counter[str] | None = None) -> Tr
     with reading(path, "a TUM trajectory (stamp x y z qx qy qz qw) or one with names of columns"):
         table = read_table(path)
         number = {role: table.find(*patterns) for role, patterns in ROLES.items()}
-        if any(k is not None for k in number.values()):
-            rows, unit = _named(table, number)
-        elif len(table.own) == 12 and not table.has_header:
-            rows, unit = _kitti(path, table), ""
-        else:
-            rows, unit = _tum(table, skipped), ""
+        is_named = any(k is not None for k in number.values())
+        rows, unit = _named(table, number) if is_named else (_unnamed(path, table, skipped), "")
         check_units(rows, unit)
     return trajectory_of(path, rows, skipped)
 
@@ -77,14 +72,11 @@ def check_units(rows: Array, unit: str) -> None:
         count = len(np.unique(rows[:, 0]))
         raise ValueError(f"{len(rows)} poses have {count} stamps; expected one each, written with all their digits")
     if typical_s > STEP_MAX_S and not unit and not unit_of_stamps(rows[:, 0]):
-        raise ValueError(
-            f"stamps {typical_s:.4g} s apart; expected seconds, or their unit in the column's name (stamp_s, stamp_ns)"
-        )
+        expected = "expected seconds, or their unit in the column's name (stamp_s, stamp_ns)"
+        raise ValueError(f"stamps {typical_s:.4g} s apart; {expected}")
     if np.median(way_m - SPEED_MAX * step_s) > 0 and np.median(way_m) <= COORDINATE_MAX_M:
-        raise ValueError(
-            f"poses {np.median(way_m):.4g} m apart after {typical_s:.4g} s; expected positions in metres, and stamps in"
-            " seconds or with their unit in the column's name (stamp_ns)"
-        )
+        expected = "positions in metres, and stamps in seconds or with their unit in the column's name (stamp_ns)"
+        raise ValueError(f"poses {np.median(way_m):.4g} m apart after {typical_s:.4g} s; expected {expected}")
 
 
 def _seconds(stamps: Array, unit: str) -> Array:
@@ -94,16 +86,23 @@ def _seconds(stamps: Array, unit: str) -> Array:
     return stamps * SECONDS[unit or unit_of_stamps(stamps) or "s"]
 
 
-def _tum(table: Table, skipped: Counter[str]) -> Array:
+def _unnamed(path: Path, table: Table, skipped: Counter[str]) -> Array:
+    """Rows of ``stamp x y z qx qy qz qw`` from a table without names: TUM, EuRoC, or matrices."""
     if table.has_header:
         raise ValueError(f"columns {', '.join(table.names)[:80]}; expected {', '.join(TUM)}")
-    if len(table.own) in (13, 17) and (matrix := xyzw_of((rows := table.values(table.own))[:, 1:13], 4)) is not None:
-        return np.column_stack([_seconds(rows[:, 0], ""), rows[:, [4, 8, 12]], matrix])
-    if len(table.own) != 8:
-        raise ValueError(
-            f"{len(table.own)} numbers per line, without names; expected 8, or 12 with times.txt beside it"
-        )
+    count, other = len(table.own), "without names; expected 8, or 12 with times.txt beside it"
+    stamps = [_stamps_beside(path)] if count == 12 else []
+    if count not in (8, 12, 13, 17):
+        raise ValueError(f"{count} numbers per line, {other}")
     rows = table.values(table.own)
+    if count > 8:
+        if stamps and len(rows) != len(stamps[0]):
+            raise ValueError(f"{len(rows)} poses, {len(stamps[0])} stamps in times.txt; expected as many")
+        rows = np.column_stack([*stamps, rows])
+        if (xyzw := xyzw_of(rows[:, 1:13], 4)) is None:
+            other = "not rotations with translations (KITTI)" if stamps else other
+            raise ValueError(f"{count} numbers per line, {other}")
+        return np.column_stack([_seconds(rows[:, 0], ""), rows[:, 4:13:4], xyzw])
     is_euroc = table.separator == "," and unit_of_stamps(rows[:, 0]) == "ns" and not table.said
     rows[:, 0] = _seconds(rows[:, 0], "")
     orders = [table.said[k : k + 4] for k in range(3, len(table.said)) if table.said[k - 1].endswith("z")]
@@ -113,55 +112,52 @@ def _tum(table: Table, skipped: Counter[str]) -> Array:
     return rows[:, [0, 1, 2, 3, 5, 6, 7, 4]] if w_first else rows
 
 
-def _kitti(path: Path, table: Table) -> Array:
+def _stamps_beside(path: Path) -> Array:
+    """The stamps of KITTI's poses ``(N, 1)``."""
     beside = path.with_name("times.txt")
     if not beside.is_file():
         raise ValueError("12 numbers per line (KITTI) without stamps; expected them in times.txt beside it")
-    rows, times = table.values(table.own), read_table(beside)
+    times = read_table(beside)
     if times.columns != 1:
         raise ValueError(f"times.txt beside it has {times.columns} numbers a line; expected one, the stamp")
-    stamps = times.values([0])
-    if len(rows) != len(stamps):
-        raise ValueError(f"{len(rows)} poses, {len(stamps)} stamps in times.txt; expected as many")
-    if (xyzw := xyzw_of(rows, 4)) is None:
-        raise ValueError("12 numbers per line, not rotations with translations (KITTI)")
-    return np.column_stack([_seconds(stamps[:, 0], ""), rows[:, 3::4], xyzw])
+    return times.values([0])
 
 
 def _named(table: Table, number: dict[str, int | None]) -> tuple[Array, str]:
     """Rows of ``stamp x y z qx qy qz qw`` from the columns that their names show, in any order; and the unit of the
     stamps, "" if not given."""
-    stamp, angles = _stamp_columns(table), [table.find(rf"(?:.*_)?{name}") for name in ("roll", "pitch", "yaw")]
-    by_angles = None not in angles and number["qw"] is None
-    by_matrix = not by_angles and number["qw"] is None and {*ROTATIONS} <= {*table.names}
-    turned = angles if by_angles else [number[role] for role in QUATERNION]
-    turned = [table.find(name) for name in ROTATIONS] if by_matrix else turned
-    missing = [role for role, k in number.items() if k is None and (role in "xyz" or not (by_angles or by_matrix))]
-    missing = missing if stamp else ["stamp", *missing]
-    if missing:
-        raise ValueError(
-            f"columns {', '.join(table.names)[:120]}, none for {', '.join(missing)}; expected {', '.join(TUM)}"
-        )
+    stamp, quaternion = _stamp_columns(table), [number[role] for role in QUATERNION]
+    angles = [table.find(rf"(?:.*_)?{name}") for name in ("yaw", "pitch", "roll")]
+    turned = quaternion
+    if number["qw"] is None and None not in angles:
+        turned = angles
+    elif number["qw"] is None and {*ROTATIONS} <= {*table.names}:
+        turned = [table.find(name) for name in ROTATIONS]
+    wanted = {"stamp": stamp[0] if stamp else None} | {axis: number[axis] for axis in "xyz"}
+    wanted |= dict(zip(QUATERNION, quaternion, strict=True)) if turned is quaternion else {}
+    if missing := [role for role, k in wanted.items() if k is None]:
+        none = f"columns {', '.join(table.names)[:120]}, none for {', '.join(missing)}"
+        raise ValueError(f"{none}; expected {', '.join(TUM)}")
     position = [k for axis in "xyz" if (k := number[axis]) is not None]
     if other := {table.units[k] for k in position} - {"", "m"}:
         raise ValueError(f"x, y and z in {', '.join(sorted(other))}; expected metres")
     values = table.values([*stamp, *position, *(k for k in turned if k is not None)])
-    stamp_s = _seconds(values[:, 0], table.units[stamp[0]])
+    unit = table.units[stamp[0]]
+    stamp_s, values = _seconds(values[:, 0], unit), values[:, 1:]
     if len(stamp) == 2:
-        stamp_s, values = values[:, 0] + values[:, 1] * SECONDS[table.units[stamp[1]]], values[:, 1:]
-    if by_matrix:
-        if (xyzw := xyzw_of(values[:, 4:], 3)) is None:
+        stamp_s, values = stamp_s + values[:, 0] * SECONDS[table.units[stamp[1]]], values[:, 1:]
+    xyzw = values[:, 3:]
+    if turned is angles:
+        units = {table.units[k] for k in angles if k is not None}
+        if units not in ({"deg"}, {"rad"}):
+            raise ValueError("roll, pitch and yaw without their unit; expected names such as roll_deg or roll_rad")
+        xyzw, finite = np.full((len(values), 4), np.nan), np.isfinite(values).all(axis=1)
+        xyzw[finite] = Rotation.from_euler("ZYX", values[finite, 3:], degrees=units == {"deg"}).as_quat()
+    elif turned is not quaternion:
+        if (found := xyzw_of(values[:, 3:], 3)) is None:
             raise ValueError(f"{', '.join(ROTATIONS)} are no rotations; expected a matrix, row by row")
-        return np.column_stack([stamp_s, values[:, 1:4], xyzw]), table.units[stamp[0]]
-    if not by_angles:
-        return np.column_stack([stamp_s, values[:, 1:]]), table.units[stamp[0]]
-    units = {table.units[k] for k in angles if k is not None}
-    if units not in ({"deg"}, {"rad"}):
-        raise ValueError("roll, pitch and yaw without their unit; expected names such as roll_deg or roll_rad")
-    finite, xyzw = np.isfinite(values).all(axis=1), np.full((len(values), 4), np.nan)
-    yaw_pitch_roll = values[finite][:, [6, 5, 4]]
-    xyzw[finite] = Rotation.from_euler("ZYX", yaw_pitch_roll, degrees=units == {"deg"}).as_quat()
-    return np.column_stack([stamp_s, values[:, 1:4], xyzw]), table.units[stamp[0]]
+        xyzw = found
+    return np.column_stack([stamp_s, values[:, :3], xyzw]), unit
 
 
 def _stamp_columns(table: Table) -> list[int]:
@@ -179,9 +175,8 @@ def _stamp_columns(table: Table) -> list[int]:
             if len(part) and (whole == np.round(whole)).all() and np.median(part) * SECONDS[table.units[parts[0]]] < 1:
                 return [found[0], *parts]
         if len({table.units[k] for k in found}) < len(found):
-            raise ValueError(
-                f"{len(found)} columns may be stamps: {', '.join(table.names[k] for k in found)}; expected one"
-            )
+            named = ", ".join(table.names[k] for k in found)
+            raise ValueError(f"{len(found)} columns may be stamps: {named}; expected one")
         if found:
             return found[:1]
     return []

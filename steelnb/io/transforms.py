@@ -11,17 +11,7 @@ from numpy.typing import NDArray
 from steelnb.core.errors import InputError
 from steelnb.core.files import printable
 from steelnb.core.types import Array, Trajectory
-from steelnb.io.frame_names import (
-    BODIES,
-    WORLDS,
-    check_order,
-    is_body_name,
-    is_inverted,
-    is_world_name,
-    namespace,
-    own_name,
-    rank,
-)
+from steelnb.io import frame_names as naming
 from steelnb.io.trajectories import interpolate
 
 STILL = 1e-6
@@ -31,13 +21,21 @@ AGREED = 0.01
 """Two ways between frames agree if their transforms differ by less, in metres and radians."""
 
 
-class Edge(NamedTuple):
-    """A transform from child to parent: ``T_parent_child (4, 4)`` of one that does not move, ``path`` of one on tf, and
-    whether it ``moves`` along it."""
+class Link(NamedTuple):
+    """A transform: of tf_static if ``is_static``, else of tf."""
 
-    T_parent_child: Array
-    path: Trajectory | None
+    parent: str
+    child: str
+    is_static: bool
+
+
+class Edge(NamedTuple):
+    """A transform from child to parent: its ``path``, whether it ``moves`` along it, else its last pose holds, and
+    whether it ``is_static``, of tf_static."""
+
+    path: Trajectory
     moves: bool
+    is_static: bool
 
 
 class Placement(NamedTuple):
@@ -62,10 +60,9 @@ class Tree:
 
     def add(self, parent: str, child: str, path: Trajectory, is_static: bool = False) -> None:
         """Add a transform at some stamps, the last of which counts if it is static."""
-        T = path.T_world_drone
-        moves = not is_static and bool(np.ptp(T, axis=0).max() > STILL)
+        moves = not is_static and bool(np.ptp(path.T_world_drone, axis=0).max() > STILL)
         if moves or (parent, child) not in self.edges:
-            self._set((parent, child), Edge(T[-1], None if is_static else path, moves))
+            self._set((parent, child), Edge(path, moves, is_static))
 
     def _set(self, key: tuple[str, str], edge: Edge) -> None:
         if key not in self.edges:
@@ -77,7 +74,7 @@ class Tree:
 
     def fixed(self) -> "Tree":
         """A tree of those of tf_static."""
-        return Tree({key: edge for key, edge in self.edges.items() if edge.path is None})
+        return Tree({key: edge for key, edge in self.edges.items() if edge.is_static})
 
     @property
     def frames(self) -> set[str]:
@@ -87,8 +84,8 @@ class Tree:
     def resolve(self, frame: str, beside: str = "") -> str:
         """The frame of this name or, if there is none, the only one of this name in a namespace or without one; of
         several the one in the namespace of ``beside``."""
-        same = [each for each in self.frames if own_name(each) == own_name(frame)]
-        near = [each for each in same if beside and namespace(each) == namespace(beside)] or same
+        same = [each for each in self.frames if naming.own_name(each) == naming.own_name(frame)]
+        near = [each for each in same if beside and naming.namespace(each) == naming.namespace(beside)] or same
         return near[0] if frame not in self.frames and len(near) == 1 and frame else frame
 
     def between(self, target: str, source: str) -> list[str] | None:
@@ -101,7 +98,7 @@ class Tree:
 
     def is_static(self, frames: Sequence[str]) -> bool:
         """Whether all transforms along a way between frames are from tf_static."""
-        return all(self.edges[key].path is None for key, _ in self._steps(frames))
+        return all(self.edges[key].is_static for key, _ in self._steps(frames))
 
     def contradictions(self, target: str, source: str) -> Iterator[tuple[tuple[str, ...], Array]]:
         """Other static ways from ``target`` to ``source``, without one transform of the shortest, that lead to another
@@ -124,9 +121,7 @@ class Tree:
         T, known = np.tile(np.eye(4), (len(stamp_s), 1, 1)), np.ones(len(stamp_s), bool)
         for key, is_down in self._steps(frames):
             edge = self.edges[key]
-            step, covered = edge.T_parent_child[None], known
-            if edge.moves and edge.path is not None:
-                step, covered = interpolate(edge.path, stamp_s)
+            step, covered = interpolate(edge.path, stamp_s) if edge.moves else (edge.path.T_world_drone[-1:], known)
             T, known = T @ (step if is_down else np.linalg.inv(step)), known & covered
         return Placement(T, known, tuple(frames), self.moves(frames))
 
@@ -134,7 +129,7 @@ class Tree:
         """Poses of ``body`` in ``world`` at the stamps of the fastest transform between them that moves."""
         keys = self.keys_between(world, body)
         self.move_still(keys)
-        moving = [edge.path.stamp_s for key in keys if (edge := self.edges[key]).moves and edge.path is not None]
+        moving = [edge.path.stamp_s for key in keys if (edge := self.edges[key]).moves]
         if not moving:
             listed = ", ".join(sorted(self.frames)) or "none"
             raise InputError(f"no poses of {body!r} in {world!r} on tf; expected two of its frames: {listed}")
@@ -146,26 +141,25 @@ class Tree:
 
     def drone(self, sensor: str) -> tuple[str, str]:
         """Names of the world and of the drone's frame that carries ``sensor``. Raises `InputError` with the choices."""
-        self.move_still([key for key in self.edges if is_world_name(key[0])])
+        self.move_still([key for key in self.edges if naming.is_world_name(key[0])])
         bodies = self._moving(self.above(sensor)) or self._moving(self.frames)
         if not bodies:
             raise InputError("no transform on tf moves; expected one from the world to the drone")
-        if names := [name for name in BODIES if name in {*map(own_name, bodies)}]:
-            bodies = [body for body in bodies if own_name(body) == names[0]]
+        if names := [name for name in naming.BODIES if name in {*map(naming.own_name, bodies)}]:
+            bodies = [body for body in bodies if naming.own_name(body) == names[0]]
         else:  # a frame that moves itself, not one fixed to it, and no odom below a map
             bodies = [body for body in bodies if any(self.edges[each, body].moves for each in self._parents[body])]
-            bodies = [body for body in bodies if not is_world_name(body)] or bodies
-        beside = [body for body in bodies if namespace(body) == namespace(sensor)]
+            bodies = [body for body in bodies if not naming.is_world_name(body)] or bodies
+        beside = [body for body in bodies if naming.namespace(body) == naming.namespace(sensor)]
         bodies = beside or bodies
-        choices = [check_order(world, body) for body in bodies for world in self._worlds(self.above(body))]
-        if all(is_inverted(*pair) for pair in choices):
+        choices = [naming.check_order(world, body) for body in bodies for world in self._worlds(self.above(body))]
+        if all(naming.is_inverted(*pair) for pair in choices):
             choices = self._inverted(sensor) or choices
         if len(choices) == 1:
             return choices[0]
         listed = [f"{world}>{body}" for world, body in sorted(choices)]
-        raise InputError(
-            f"several frames may be the drone's: {', '.join(listed)}; expected one (--poses '{listed[0]}')"
-        )
+        several = f"several frames may be the drone's: {', '.join(listed)}"
+        raise InputError(f"{several}; expected one (--poses '{listed[0]}')")
 
     def _moving(self, frames: Iterable[str]) -> list[str]:
         """Those of some frames that move in one above them."""
@@ -175,32 +169,33 @@ class Tree:
         """World and drone of each moving transform that leads down to a world, away from the sensor: of worlds with a
         usual name or, if there is none, of all below a drone with a usual name."""
         ways = _ways(sensor, self._near)
-        found = [(world, body) for (body, world), edge in self.edges.items() if edge.moves and is_inverted(body, world)]
+        moving = [(world, body) for (body, world), edge in self.edges.items() if edge.moves]
+        found = [(world, body) for world, body in moving if naming.is_inverted(body, world)]
         found = [(world, body) for world, body in found if world not in ways.get(body, [world])]
-        return [pair for pair in found if is_world_name(pair[0])] or found
+        return [pair for pair in found if naming.is_world_name(pair[0])] or found
 
     def body_of(self, sensor: str) -> str:
         """The frame with a drone's usual name that carries ``sensor``, else the topmost one to which it is fixed; the
         first such name if it has no place."""
         above = self.above(sensor)
-        if named := [frame for frame in above if is_body_name(frame)]:
-            return min(named, key=lambda frame: BODIES.index(own_name(frame)))
-        fixed = [frame for frame, way in above.items() if not is_world_name(frame) and not self.moves(way)]
-        return max(fixed, key=lambda frame: len(above[frame])) if len(above) > 1 and fixed else BODIES[0]
+        if named := [frame for frame in above if naming.is_body_name(frame)]:
+            return min(named, key=lambda frame: naming.BODIES.index(naming.own_name(frame)))
+        fixed = [frame for frame, way in above.items() if not naming.is_world_name(frame) and not self.moves(way)]
+        return max(fixed, key=lambda frame: len(above[frame])) if len(above) > 1 and fixed else naming.BODIES[0]
 
     def _worlds(self, above: dict[str, list[str]]) -> list[str]:
         """Of the frames above the drone, with the way to each, those that its poses may be in."""
         moving = [frame for frame, way in above.items() if self.moves(way)]
-        best = min(rank(own_name(frame)) for frame in moving)
-        if best < len(WORLDS):
-            named = [frame for frame in moving if rank(own_name(frame)) == best]
-            return named[:1] if len({own_name(frame) for frame in named}) == 1 else named
+        best = min(naming.rank(naming.own_name(frame)) for frame in moving)
+        if best < len(naming.WORLDS):
+            named = [frame for frame in moving if naming.rank(naming.own_name(frame)) == best]
+            return named[:1] if len({naming.own_name(frame) for frame in named}) == 1 else named
         return [frame for frame in moving if frame not in self._parents] or moving
 
     def move_still(self, keys: list[tuple[str, str]]) -> None:
         """Of a recording in which nothing moves, take transforms on tf for moving ones."""
         if not any(edge.moves for edge in self.edges.values()):
-            self.edges |= {key: self.edges[key]._replace(moves=self.edges[key].path is not None) for key in keys}
+            self.edges |= {key: self.edges[key]._replace(moves=not self.edges[key].is_static) for key in keys}
 
     def above(self, frame: str) -> dict[str, list[str]]:
         """A frame and its ancestors, with the way up to each."""

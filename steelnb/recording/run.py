@@ -211,17 +211,12 @@ def draw(
 def write(folder: Path, found: Corrected, numbers: Mapping[str, float], origin: dict[str, str]) -> None:
     """Write the poses, tables and map of `FILES`. ``origin``: names of the recording and of the method."""
     write_tum(folder / "corrected.tum", found.estimate.corrected)
-    write_segments(found.segments, folder / "segments.csv", _sigma_m(found.estimate, found.segments))
+    covariance, half_m, sigma_m = found.estimate.axis_covariance, 0.5 * found.segments.length, None
+    if covariance is not None:  # of a smoothed flight's bars, across their axes at both ends
+        sigma_m = np.column_stack([axis_sigma_m(covariance, along_m) for along_m in (-half_m, half_m)])
+    write_segments(found.segments, folder / "segments.csv", sigma_m)
     write_structure(found.structure, folder / "structure.json", origin)
     if len(found.points):
         write_map(folder / "map.ply", found.points, found.bar)
     table = pd.DataFrame({"quantity": list(numbers), "value": [f"{v:.6g}" for v in numbers.values()]})
     table.to_csv(folder / "table.csv", index=False, lineterminator="\n")
-
-
-def _sigma_m(estimate: Estimate, segments: Segments) -> np.ndarray | None:
-    """Standard deviations ``(M, 2)`` of a smoothed flight's bars, across their axes at both ends."""
-    if estimate.axis_covariance is None:
-        return None
-    half_m = 0.5 * segments.length
-    return np.column_stack([axis_sigma_m(estimate.axis_covariance, along_m) for along_m in (-half_m, half_m)])

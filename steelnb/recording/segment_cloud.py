@@ -104,12 +104,16 @@ def segment_file(
     slim = f", {least:.2g} m for slim members" if least < dx else ""
     on_surfaces = float(1 - off.mean())
     bar_share = explained * (1 - on_surfaces)
+    largest = sorted(found.surfaces, key=lambda surface: -surface.area_m2)
+    surfaces = [f"surface   {_name(each)}, {each.area_m2:.0f} m²: {each.points} points left out" for each in largest]
+    if len(surfaces) > SURFACES_SHOWN:
+        surfaces[SURFACES_SHOWN:] = [f"surface   and {len(surfaces) - SURFACES_SHOWN} more"]
     summary = (
         f"read      {display_name(path)}: {len(cloud)} points ({cloud.duplicates} duplicates and "
         f"{cloud.invalid} invalid ones dropped), {apart_m:.3g} m apart",
         f"settings  voxel {voxel:.3g} m, dx {dx:.3g} m{slim}: members closer than {2 * least:.2g} m to each other are "
         f"one, and those shorter than {(2 + LENGTH_MIN_M / TUBE_M) * least:.2g} m are not found",
-        *_surface_lines(sorted(found.surfaces, key=lambda surface: -surface.area_m2)),
+        *surfaces,
         f"found     {len(bars)} bars, {bars.length.sum():.1f} m in all, the longest "
         f"{bars.length.max(initial=0):.1f} m, in {time.perf_counter() - began:.1f} s",
         *([f"left out  {found.apart} lines that {APART}"] if found.apart else []),
@@ -121,13 +125,6 @@ def segment_file(
     return SegmentReport(
         segments, found.freedom, found.width_m, voxel, dx, explained, on_surfaces, summary, warnings
     )  # fmt: skip
-
-
-def _surface_lines(surfaces: list[Surface]) -> list[str]:
-    """One line for each of the largest surfaces, and one for how many more there are."""
-    lines = [f"surface   {_name(each)}, {each.area_m2:.0f} m²: {each.points} points left out" for each in surfaces]
-    more = len(lines) - SURFACES_SHOWN
-    return lines[:SURFACES_SHOWN] + ([f"surface   and {more} more"] if more > 0 else [])
 
 
 def _name(surface: Surface) -> str:

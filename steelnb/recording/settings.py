@@ -64,10 +64,8 @@ class Scene:
         seen = next(cloud for cloud in clouds if len(cloud))
         median_m, far_m = np.percentile(range_m, [50, 99])
         if median_m > MEDIAN_MAX_M:
-            raise InputError(
-                f"{flight.name}: half of the returns are farther than {median_m:.4g}: it looks like millimetres; "
-                "expected metres"
-            )
+            far = f"half of the returns are farther than {median_m:.4g}: it looks like millimetres"
+            raise InputError(f"{flight.name}: {far}; expected metres")
         return cls(float(far_m), float(median_m), float((height_m < -UNDERGROUND_M).mean()), seen)
 
     def overrides(self, preset: ExperimentSettings) -> dict[str, float]:

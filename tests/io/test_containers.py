@@ -122,6 +122,16 @@ def test_of_a_file_that_is_cut_short_what_is_whole_is_read(tmp_path, kind, share
         read_flight(cut)
 
 
+def test_poses_that_damage_takes_are_said_to_be_missing(tmp_path):
+    """The index counts them, but no message is whole."""
+    path = Bagged(tmp_path / "a.mcap").clouds().odometry().write()
+    content = bytearray(path.read_bytes())
+    content[content.index(b"/odom") + 46] = 0xFF
+    path.write_bytes(content)
+    with pytest.raises(InputError, match=r"a.mcap: no message of /odom can be read \(.* damaged"):
+        read_flight(path)
+
+
 def test_a_damaged_chunk_costs_only_its_messages(tmp_path):
     path = mcap(tmp_path / "a.mcap", chunk_messages=2)
     data = bytearray(path.read_bytes())
