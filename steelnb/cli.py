@@ -173,7 +173,7 @@ def record(
 
 @app.command(epilog="\b\nExample:\n  steelnb segment tower.laz --dx 0.08 -o bars")
 def segment(
-    cloud: Annotated[Path, typer.Argument(help="PLY, PCD, LAS, LAZ, NPY, XYZ, TXT or CSV file, in metres.")],
+    cloud: Annotated[Path, typer.Argument(help="PLY, PCD, LAS, LAZ, NPY, NPZ, XYZ, TXT or CSV file, in metres.")],
     output: Annotated[
         Path | None, typer.Option("-o", "--output", metavar="FOLDER", help="Output folder. Default: NAME_segments.")
     ] = None,

@@ -1,4 +1,4 @@
-"""Reader of point files: NPY, PLY, PCD, LAS, LAZ and text. What it does not understand is refused, not guessed.
+"""Reader of point files: NPY, NPZ, PLY, PCD, LAS, LAZ and text. What it does not understand is refused, not guessed.
 Writer of PLY."""
 
 import os
@@ -38,6 +38,8 @@ COORDINATE_MIN_M = 1e-30
 """Smaller numbers than this are bytes in another order."""
 CHANNELS_MAX = 16
 """An array (3, N) has more columns than this, an array (N, 3 or more) at most as many."""
+CLOUD_NAMES = r"points?|pts|xyz|cloud|point_?cloud|coords?|coordinates"
+"""Names of the array of coordinates in a NPZ file."""
 OTHER_AXES = {
     "x": ("e|east|easting|points_0", "ost|rechtswert|(?:points_m_xyz|coordinates)_0"),
     "y": ("n|north|northing|points_1", "nord|hochwert|(?:points_m_xyz|coordinates)_1"),
@@ -70,7 +72,7 @@ class Cloud:
 
 @checks_arguments
 def read_cloud(path: Path | str) -> Cloud:
-    """Read the points of a NPY, PLY, PCD, LAS, LAZ or text file (XYZ, TXT, CSV, ASC, PTS), chosen by the suffix.
+    """Read the points of a NPY, NPZ, PLY, PCD, LAS, LAZ or text file (XYZ, TXT, CSV, ASC, PTS), chosen by the suffix.
 
     Raises `InputError` for a missing, truncated or invalid file, fewer than two distinct points, several sites, and a
     cloud that seems to be in millimetres.
@@ -97,7 +99,7 @@ def read_cloud(path: Path | str) -> Cloud:
 
 @checks_arguments
 def read_points(path: Path | str) -> Array:
-    """Points of one file, float64, metres: ``(N, 3)``, or ``(H, W, 3)`` of an organised cloud (PCD, NPY).
+    """Points of one file, float64, metres: ``(N, 3)``, or ``(H, W, 3)`` of an organised cloud (PCD, NPY, NPZ).
 
     Invalid points, and those beyond `COORDINATE_MAX_M`, are NaN rows. A file in which most points are beyond is
     damaged. Raises `InputError`.
@@ -108,7 +110,7 @@ def read_points(path: Path | str) -> Array:
         raise InputError(f"{path}: a folder; expected a file of points (`steelnb run` takes a folder of scans)")
     with reading(path, f"a {path.suffix[1:].upper() or 'readable'} file of points"), warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of NumPy, about files of Python 2
-        if what := foreign_file(path):
+        if path.suffix.lower() != ".npz" and (what := foreign_file(path)):
             raise ValueError(what)
         if read is None:
             raise InputError(f"{path}: ending {path.suffix!r}; expected one of {', '.join(READERS)}")
@@ -128,16 +130,19 @@ def read_points(path: Path | str) -> Array:
     return points
 
 
-def _read_npy(path: Path) -> Any:
+def _read_numpy(path: Path) -> Any:
     """Mapped, since then NumPy compares the size with the file before it allocates."""
     try:
         stored = np.load(path, mmap_mode="r", allow_pickle=False)
+        arrays = None if isinstance(stored, np.ndarray) else {name: stored[name] for name in stored.files}
+        arrays = arrays and {name: array for name, array in arrays.items() if isinstance(array, np.ndarray)}
     except Exception:  # NumPy evaluates the header, so that damage raises anything
         raise ValueError("damaged, truncated, or not of numbers; expected an array by numpy.save") from None
+    stored = stored if arrays is None else _of_archive(arrays)
     is_picture = isinstance(stored, np.ndarray) and stored.dtype in ("u1", "i1")
     if not isinstance(stored, np.ndarray) or is_picture or (not stored.dtype.names and stored.dtype.kind not in "fiu"):
         what = "a picture of " if is_picture else ""
-        raise ValueError(f"{what}{getattr(stored, 'dtype', 'an archive')}; expected coordinates")
+        raise ValueError(f"{what}{getattr(stored, 'dtype', 'something else')}; expected coordinates")
     if stored.dtype.names is not None:
         field = {name.lower(): name for name in stored.dtype.names}
         if not {"x", "y", "z"} <= field.keys():
@@ -155,6 +160,20 @@ def _read_npy(path: Path) -> Any:
     if stored.ndim == 2 and stored.shape[1] > 3:
         check_first_column(stored[:, :6])
     return stored[..., :3]
+
+
+def _of_archive(arrays: Mapping[str, Any]) -> Any:
+    """The array of coordinates among those of a NPZ file: the only one, or the only one that may be, or ``x y z``."""
+    named = {name.lower(): array for name, array in arrays.items()}
+    if named.keys() >= {"x", "y", "z"}:
+        return np.stack([named[axis].astype(np.float64).ravel() for axis in "xyz"], axis=-1)
+    fitting = [name for name, array in arrays.items() if array.ndim > 1 and array.shape[-1] == 3]
+    preferred = [name for name in fitting if re.fullmatch(CLOUD_NAMES, name.lower())]
+    chosen = list(arrays) if len(arrays) == 1 else fitting if len(fitting) == 1 else preferred
+    if len(chosen) != 1:
+        held = ", ".join(f"{name} {array.shape}" for name, array in arrays.items())
+        raise ValueError(f"arrays {held[:200] or 'none'}; expected one of points (N, 3), or its name points or xyz")
+    return arrays[chosen[0]]
 
 
 def _read_text(path: Path) -> Any:
@@ -205,7 +224,7 @@ def _check_commas(lines: list[bytes]) -> None:
 
 
 READERS: Mapping[str, Callable[[Path], Any]] = {
-    ".npy": _read_npy, ".ply": read_ply, ".pcd": read_pcd, ".las": read_las, ".laz": read_las,
+    ".npy": _read_numpy, ".npz": _read_numpy, ".ply": read_ply, ".pcd": read_pcd, ".las": read_las, ".laz": read_las,
     ".xyz": _read_text, ".txt": _read_text, ".csv": _read_text, ".asc": _read_text, ".pts": _read_text,
 }  # fmt: skip
 """Reader of each suffix."""

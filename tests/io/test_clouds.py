@@ -1,6 +1,7 @@
 """Reading clouds of every format."""
 
 from pathlib import Path
+from typing import Any
 
 import laspy
 import numpy as np
@@ -54,7 +55,7 @@ def test_every_format_is_read_exactly_and_truncated_files_are_refused(name: str,
     ("name", "content", "message"),
     [
         ("a.npy", b"\x93NUMPY", "not a NPY file of points"),
-        ("a.e57", b"", r"ending '.e57'; expected one of .npy, .ply"),
+        ("a.e57", b"", r"ending '.e57'; expected one of .npy, .npz, .ply"),
         ("a.txt", b"1 2 3\n1 2 3\nnan 1 2\n", "1 distinct finite points of 3; expected at least two"),
     ],
 )
@@ -107,6 +108,27 @@ def test_scans_keep_their_rows_and_their_invalid_points(tmp_path: Path) -> None:
     assert read.shape == rows.shape
     assert np.isnan(read[3, 4]).all()
     assert np.isnan(read).sum() == 3
+
+
+@pytest.mark.parametrize(
+    ("arrays", "read"),
+    [
+        ({"arr_0": POINTS}, POINTS), ({"a": POINTS.T}, POINTS), ({"frame": POINTS.reshape(20, 20, 3)}, None),
+        ({"points": POINTS, "normals": POINTS + 1, "labels": np.arange(400)}, POINTS),
+        ({"P": POINTS, "K": np.arange(9.0)}, POINTS),
+        ({"x": POINTS[:, 0], "y": POINTS[:, 1], "z": POINTS[:, 2]}, POINTS),
+        ({"a": POINTS, "b": POINTS}, r"arrays a \(400, 3\), b \(400, 3\); expected one of points"),
+        ({"points": POINTS, "xyz": POINTS}, "arrays points .*; expected one"), ({}, "arrays none; expected one"),
+        ({"a": np.array([{}], dtype=object)}, "not of numbers"), ({"a": np.float64(3)}, r"shape \(\); expected"),
+    ],
+)  # fmt: skip
+def test_an_archive_of_arrays_has_one_of_points(arrays: Any, read: Any, tmp_path: Path) -> None:
+    np.savez_compressed(tmp_path / "a.npz", **arrays)
+    if isinstance(read, str):
+        with pytest.raises(InputError, match=f"a.npz: not a NPZ file of points: .*{read}"):
+            read_points(tmp_path / "a.npz")
+    else:
+        np.testing.assert_array_equal(read_points(tmp_path / "a.npz"), arrays["frame"] if read is None else read)
 
 
 @pytest.mark.parametrize(
