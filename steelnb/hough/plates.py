@@ -22,9 +22,9 @@ TURNS_RAD = np.linspace(0.0, np.pi, 12, endpoint=False)
 def on_plates(points: Array, segments: Segments, half_m: Array, cell_m: float) -> NDArray[np.bool_]:
     """Whether each segment lies on a plate ``(S,)``: a bar is longer than what it lies on is wide.
 
-    A segment lies on a plate if the ``points (N, 3)`` cover the disc around its middle, in some plane through it, to
-    both sides of the segment. The segment is a diameter of this disc, whose radius is at least `RADIUS_MIN`
-    half-widths ``half_m (S,)``. ``cell_m``: edge of the cells that points cover. All in metres.
+    A segment lies on a plate if the ``points (N, 3)`` cover `COVERED_MIN` of the disc beside it, in some plane through
+    it. The segment is a diameter of this disc, whose radius is at least `RADIUS_MIN` half-widths ``half_m (S,)``.
+    ``cell_m``: edge of the cells that points cover. All in metres.
     """
     is_on, length = np.zeros(len(segments), dtype=bool), segments.length
     short = np.flatnonzero(length <= LENGTH_MAX * cell_m)
