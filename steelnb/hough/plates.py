@@ -9,9 +9,9 @@ from scipy.spatial import cKDTree
 
 from steelnb.core.types import Array, Segments
 
-COVERED_MIN = 1 / 3
-"""Minimum covered share of the disc beside a line on a plate. Beside bars it is at most 0.3, where many members meet
-(merged clouds of five towers, seeds 11 and 12); along the edge of a square plate it is half."""
+COVERED_MIN = 0.4
+"""Minimum covered share of the disc beside a line on a plate: along the edge of a square plate it is half, and beside
+bars at most 0.3, where many members meet (merged clouds of five towers, seeds 11 and 12)."""
 LENGTH_MAX, RADIUS_MIN = 25.0, 3.0
 """Maximum length of a line on a plate, in cells, as larger plates are surfaces; and minimum radius of the disc, in
 half-widths."""
@@ -23,8 +23,8 @@ def on_plates(points: Array, segments: Segments, half_m: Array, cell_m: float) -
     """Whether each segment lies on a plate ``(S,)``: a bar is longer than what it lies on is wide.
 
     A segment lies on a plate if the ``points (N, 3)`` cover `COVERED_MIN` of the disc beside it, in some plane through
-    it. The segment is a diameter of this disc, whose radius is at least `RADIUS_MIN` half-widths ``half_m (S,)``.
-    ``cell_m``: edge of the cells that points cover. All in metres.
+    it. The segment is a diameter of this disc, whose radius is at least `RADIUS_MIN` half-widths ``half_m (S,)``. Its
+    ends do not count, where it meets other bars. ``cell_m``: edge of the cells that points cover. All in metres.
     """
     is_on, length = np.zeros(len(segments), dtype=bool), segments.length
     short = np.flatnonzero(length <= LENGTH_MAX * cell_m)
@@ -49,7 +49,7 @@ def _covered(along: Array, across: Array, end_m: float, half_m: float, radius_m:
     edge_m = 2 * radius_m / size
     centre = (np.arange(size) + 0.5) * edge_m - radius_m
     x, y = np.abs(centre)[:, None], np.abs(centre)
-    is_beside = (np.hypot(x, y) <= radius_m) & (x <= end_m) & (y > half_m)
+    is_beside = (np.hypot(x, y) <= radius_m) & (x <= end_m - half_m) & (y > half_m)
     aside, off = (across @ [np.cos(turn), np.sin(turn)] for turn in (TURNS_RAD, TURNS_RAD + 0.5 * np.pi))
     point, plane = np.nonzero(np.abs(off) <= cell_m)
     cell = [((each + radius_m) / edge_m).astype(np.int64) for each in (along[point], aside[point, plane])]
