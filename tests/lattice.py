@@ -95,6 +95,16 @@ def bare_tree(rng: np.random.Generator, x: float, y: float) -> np.ndarray:
     return np.concatenate([*wood, rods(rng, *twigs, radius_m=0.02)])
 
 
+def gussets(rings: np.ndarray, size_m: float, per_m2: int = 2000, seed: int = 0) -> np.ndarray:
+    """Points on upright square plates at both ends of horizontal bars ``rings (R, 2, 3)``, half above them."""
+    rng, points = np.random.default_rng(seed), []
+    for start, end in np.concatenate([rings, rings[:, ::-1]]):
+        along, up = rng.uniform(0, size_m, (2, int(per_m2 * size_m**2), 1))
+        inwards = (end - start) / np.linalg.norm(end - start)
+        points.append(start + along * inwards + (up - size_m / 2) * [0, 0, 1])
+    return np.concatenate(points) + rng.normal(0, 0.005, (sum(map(len, points)), 3))
+
+
 def thinned(points: np.ndarray, apart: float) -> np.ndarray:
     """A subset in which no two points are closer than ``apart``, as in delivered LiDAR surveys."""
     tree, keep, gone = cKDTree(points), [], np.zeros(len(points), dtype=bool)

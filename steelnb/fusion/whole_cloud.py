@@ -22,6 +22,7 @@ from steelnb.fusion.refit import FIT_TUBES, refitted, widths_of
 from steelnb.fusion.ridges import TUBE_M, VOXEL_M, Ridges
 from steelnb.hough.freedom import FREE_MIN, freedom_of
 from steelnb.hough.lines import DX_PER_SPACING, spacing
+from steelnb.hough.plates import on_plates
 from steelnb.hough.whole_structure.search import MIN_VOTES
 from steelnb.points import VoxelMap
 from steelnb.points.surfaces import Surfaces
@@ -62,8 +63,8 @@ def bars_of_cloud(
     Points are accumulated in voxels of edge ``voxel_m``, by default two thirds of the tube, and only voxels on ridges
     of their weight remain: range noise spreads the rest. Surfaces are left out (`surfaces_of`). Lines through the rest
     are split at bends, refitted to all points, extended to their joints and merged (`fusion.candidates`,
-    `fusion.joints`). A bar stands free (`freedom_of`), and if it is short, its ends meet others. Bars of trees and
-    vehicles are left out (`in_structures`).
+    `fusion.joints`). A bar lies on no plate (`on_plates`) and stands free (`freedom_of`), and if it is short, its ends
+    meet others. Bars of trees and vehicles are left out (`in_structures`).
 
     ``tube_m``: radius of the tube that holds a bar's points. All lengths of the search are proportional to it. By
     default, it is that of `default_tube`, for the points on no surface if that is less (`STEEL_MAX`), and what bars
@@ -155,9 +156,11 @@ def _bars_in_tubes(points: Array, voxel_m: float, min_votes: int) -> CloudBars:
         bars, is_weak = refitted(off, split_bends(off, bars, FIT_TUBES * TUBE_M, BEND_SHARE))
         bars = _tied(bars, off, is_weak)
     width_m = widths_of(off, bars)
+    typical_m = float(np.median(width_m)) if len(bars) else math.nan
+    on_bar = ~on_plates(free, bars, np.maximum(0.5 * width_m, TUBE_M), TUBE_M)
+    bars, width_m = bars.take(on_bar), width_m[on_bar]
     freedom = freedom_of(ridges.points, bars, np.maximum(0.5 * width_m, TUBE_M))
     sure = (freedom >= FREE_MIN) & ((bars.length >= SURE_M) | _held(bars, surfaces))
-    typical_m = float(np.median(width_m)) if len(bars) else math.nan
     bars, freedom, width_m = bars.take(sure), freedom[sure], width_m[sure]
     described = surfaces.described(label)
     return CloudBars(points, bars, freedom, width_m, described, label, voxel_m, TUBE_M, TUBE_M, typical_m)

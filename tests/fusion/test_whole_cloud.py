@@ -10,7 +10,7 @@ from steelnb.fusion.whole_cloud import bars_of_cloud
 from steelnb.hough.freedom import freedom_of
 from steelnb.metrics.segments import DISTANCE_MAX_M, Match, match_members
 from steelnb.points import voxel_grid
-from tests.lattice import STEEL, TOWER, bare_tree, lattice, on_ground, rods, scanned, sheet, tree
+from tests.lattice import STEEL, TOWER, bare_tree, gussets, lattice, on_ground, rods, scanned, sheet, tree
 
 
 def checked(found: CloudBars, members, right: float, has: float, near_m: float = DISTANCE_MAX_M) -> Match:
@@ -139,6 +139,12 @@ def test_wide_columns_beside_narrow_pipes_are_bars(radius_m):
     ground = sheet(8.0, 8.0, per_m2=800) - [1.0, 1.0, 0.0]
     cloud = np.concatenate([rods(rng, *columns, radius_m=radius_m), rods(rng, *pipes, radius_m=0.05), ground])
     assert len(checked(bars_of_cloud(cloud), columns + pipes, 1.0, 1.0).member) <= 11
+
+
+@pytest.mark.parametrize("size_m", [0.25, 0.45, 0.6])
+def test_lines_on_gusset_plates_are_no_bars(size_m):
+    found = bars_of_cloud(on_ground(np.concatenate([DENSE, gussets(TOWER[6::3], size_m)]), 5.0))
+    checked(found, TOWER, 0.9, 1.0)
 
 
 @pytest.mark.parametrize("scale", [1 / 5, 1 / 100])

@@ -15,7 +15,7 @@ from steelnb.hough.whole_structure.search import segment_structure, within
 from steelnb.metrics import score_segments
 from steelnb.points import voxel_grid
 from steelnb.recording.segment_cloud import SegmentReport, segment_file
-from tests.lattice import lattice, scanned, thinned
+from tests.lattice import lattice, rods, scanned, sheet, thinned
 
 FILES = {"segments.csv", "segments.png"}
 UTM = np.array([299100.0, 2801400.0, 1900.0])
@@ -153,3 +153,15 @@ def test_any_cloud_gets_an_answer(tmp_path: Path, shape: str) -> None:
         assert report.explained == 1.0
     if shape in ("two", "scatter"):
         assert report.explained < 0.2
+
+
+def test_points_on_wide_bars_are_explained_where_the_tube_is_narrow(tmp_path: Path) -> None:
+    rng = np.random.default_rng(8)
+    poles = rods(rng, *(((x, 0, 0), (x, 0, 8)) for x in (0, 10, 20)), radius_m=0.15, per_m2=400)
+    wires = rods(rng, *(((0, y, 7.5), (20, y, 7.5)) for y in (-1.4, -0.7, 0.7, 1.4)), radius_m=0.01, per_m2=5000)
+    cloud = np.concatenate([poles, wires, sheet(24.0, 6.0, per_m2=200) - [2.0, 3.0, 0.0]])
+    report = segment_file(save_cloud(tmp_path / "cloud.csv", cloud), tmp_path / "out")
+    assert len(report.segments) == 7
+    assert report.dx_m < 0.15
+    assert report.explained > 0.9
+    assert not report.warnings
