@@ -46,9 +46,9 @@ REST_MIN, KEPT_MIN = 0.2, 0.9
 leave less of their object. And the minimum share of the first bars' length inside wider ones that replace them."""
 LATTICE_REST_MAX = 0.4
 """What bars of narrower tubes may leave if they form a lattice: some members of a slim mast have too few points."""
-STEEL_MAX = 0.9
-"""A cloud is searched again if the points on no surface call for a tube below this share of that of the whole cloud:
-ground may be sampled more sparsely than steel."""
+STEEL_CHANGE = 0.9
+"""A cloud is searched again if the tube that the points on no surface call for and that of the whole cloud differ by
+more than this factor: ground may be sampled more sparsely than steel or, around a scanner's tripod, more densely."""
 
 
 def bars_of_cloud(
@@ -67,7 +67,7 @@ def bars_of_cloud(
     meet others. Bars of trees and vehicles are left out (`in_structures`).
 
     ``tube_m``: radius of the tube that holds a bar's points. All lengths of the search are proportional to it. By
-    default, it is that of `default_tube`, for the points on no surface if that is less (`STEEL_MAX`), and what bars
+    default, it is that of `default_tube`, for the points on no surface if that differs (`STEEL_CHANGE`), and what bars
     leave is searched in other tubes (`NARROWER`, `WIDER`).
     ``min_votes``: minimum number of ridge voxels of a bar. ``on_stage`` is told each search by its name.
     """
@@ -83,7 +83,7 @@ def bars_of_cloud(
     found = search(points, tube_m or max(default_tube(points), least_m))
     if tube_m is None:
         of_steel_m = max(default_tube(found.steel), least_m) if len(found.steel) > min_votes else found.tube_m
-        if of_steel_m < STEEL_MAX * found.tube_m:
+        if min(of_steel_m, found.tube_m) < STEEL_CHANGE * max(of_steel_m, found.tube_m):
             found = search(points, of_steel_m)
         if not found.all_on_surfaces:
             found = _in_wider_tubes(_in_narrower_tubes(found, least_m, search), search)

@@ -141,6 +141,13 @@ def test_wide_columns_beside_narrow_pipes_are_bars(radius_m):
     assert len(checked(bars_of_cloud(cloud), columns + pipes, 1.0, 1.0).member) <= 11
 
 
+@pytest.mark.parametrize(("per_m", "has"), [(25, 0.8), (30, 0.95)])
+def test_steel_that_is_sampled_more_sparsely_than_the_ground_has_its_members(per_m, has):
+    """As a scanner on a tripod sees a tower: the ground around it is dense."""
+    cloud = on_ground(scanned(TOWER, per_m, 0.08, 0.005), 6.0, per_m2=1500)
+    assert len(checked(bars_of_cloud(cloud), TOWER, 1.0, has).member) <= 44
+
+
 @pytest.mark.parametrize("size_m", [0.25, 0.45, 0.6])
 def test_lines_on_gusset_plates_are_no_bars(size_m):
     found = bars_of_cloud(on_ground(np.concatenate([DENSE, gussets(TOWER[6::3], size_m)]), 5.0))
