@@ -59,7 +59,7 @@ def test_the_front_of_a_section_is_that_of_its_edges(seed, name, thickness):
 def test_the_nearest_edge_is_the_nearest_corner_or_side(seed, name):
     rng = np.random.default_rng(seed)
     turn, flange = section(name, rng)
-    corner = shapes.outlines(np.array([KINDS[name]]), np.array([turn]), np.array([flange]))[0]
+    corner = shapes.outlines(np.array([KINDS[name]]), np.array([turn]), np.array([flange]), shapes.THICKNESS)[0]
     view, beside = rng.uniform(-3, 3), rng.uniform(-0.3, 0.3)
     corners = naive.angle_outline(turn, flange, shapes.THICKNESS) @ [-np.sin(view), np.cos(view)]
     edges = corners if name == "angle" else np.array([-flange, flange]) / 2
@@ -77,7 +77,15 @@ def test_residuals_are_distances_along_the_line_of_sight(seed):
     near = bars.start[bar] + rng.uniform(-0.05, 1.05, (401, 1)) * (bars.end - bars.start)[bar]
     points = (near + 0.05 * rng.standard_normal((401, 3)) - T[:3, 3]) @ T[:3, :3]
     found = face_residuals(
-        points, bar, T, bars.start, bars.direction, bars.length, across, kind, shapes.outlines(kind, turn, flange)
+        points,
+        bar,
+        T,
+        bars.start,
+        bars.direction,
+        bars.length,
+        across,
+        kind,
+        shapes.outlines(kind, turn, flange, shapes.THICKNESS),
     )
     np.testing.assert_allclose(found[3][:-1], (points @ T[:3, :3].T + T[:3, 3])[:-1], atol=1e-12)
     expected = np.full((401, 2), np.nan)

@@ -78,7 +78,7 @@ def near_face(corner, towards, rng, n):
 def test_the_axis_of_an_angle_section_is_found_from_its_near_faces(flange, turn):
     # A bar along z, its centroid off the assumed axis, seen from three sides with range noise of 2 cm.
     rng, off = np.random.default_rng(5), np.array([0.012, -0.02])
-    corner = shapes.outlines(np.array([shapes.ANGLE]), np.array([turn]), np.array([flange]))[0]
+    corner = shapes.outlines(np.array([shapes.ANGLE]), np.array([turn]), np.array([flange]), THICKNESS)[0]
     bar = bars_of([[0, 0, 0], [0, 0, 2]])
     across, histogram = shapes.frames(bar.direction), np.zeros((1, *HISTOGRAM))
     for view in np.radians([10, 80, 150]):
@@ -92,11 +92,11 @@ def test_the_axis_of_an_angle_section_is_found_from_its_near_faces(flange, turn)
                 point[None] - T[:3, 3], T, np.zeros(1, int), bar.start, bar.direction, bar.length,
                 across, 0.05, histogram,
             )  # fmt: skip
-    found = fit_sections(histogram, bar.length)
+    found = fit_sections(histogram, bar.length, THICKNESS)
     assert np.linalg.norm(found.centre[0] - off) < 0.005
     assert found.flange[0] == pytest.approx(flange, rel=0.12)
     assert np.abs(found.slope).max() < 0.006
-    assert np.isnan(fit_sections(0 * histogram, bar.length).flange[0])
+    assert np.isnan(fit_sections(0 * histogram, bar.length, THICKNESS).flange[0])
 
 
 def test_points_of_an_adjustment_are_chosen_without_regard_to_their_noise():
@@ -104,7 +104,7 @@ def test_points_of_an_adjustment_are_chosen_without_regard_to_their_noise():
     rng, sigma_m, n = np.random.default_rng(0), 0.03, 16_000
     bars, turn, flange = bars_of([[0, 0, 0], [0, 0, 2]], [[0.13, 0, 0], [0.13, 0, 2]]), np.full(2, 0.3), np.full(2, 0.1)
     kind = np.full(2, shapes.ANGLE)
-    across, corner = shapes.frames(bars.direction), shapes.outlines(kind, turn, flange)
+    across, corner = shapes.frames(bars.direction), shapes.outlines(kind, turn, flange, THICKNESS)
     sectioned = Bars(bars, across, kind, turn, flange)
     T = np.eye(4)
     T[:3, 3] = sensor = np.array([3.0, 0.5, 1.0])

@@ -95,7 +95,7 @@ def seen_arc(rng, radius_m: float, arc_rad: float, n: int = 300) -> np.ndarray:
 def test_a_step_is_that_of_its_slow_twin():
     rng = np.random.default_rng(4)
     cells, place, normal = seen_arc(rng, 0.05, 3.0), np.array([0.02, -0.01, 0.003, 0.001, 0.04]), np.empty((5, 6))
-    corner = shapes.outlines(np.array([shapes.TUBE]), np.array([np.nan]), 2 * place[4:])[0]
+    corner = shapes.outlines(np.array([shapes.TUBE]), np.array([np.nan]), 2 * place[4:], shapes.THICKNESS)[0]
     cost = fit.section_step(cells, np.empty((0, 6)), corner, place, normal)
     expected, matrix, vector = naive.circle_step(cells, place)
     assert cost == pytest.approx(expected)
