@@ -61,8 +61,7 @@ def biases(settings: ExperimentSettings, exact: Imu, stamp_s: Array) -> Array:
 def squares(settings: ExperimentSettings, flight: Flight, states: list[State], truth: Truth) -> pd.DataFrame:
     """Normalised squared errors, a row per scan; ``TOLD`` with the uncertainty of ranges that `DATA_SHEET` states."""
     stamp_s = np.array([state.stamp_s for state in states])
-    told, preprocess = replace(flight, range_sigmas=DATA_SHEET), settings.odometry.preprocess
-    structure = StructureSettings(floor_m=preprocess.floor_m, range_max_m=preprocess.crop_m)
+    told, structure = replace(flight, range_sigmas=DATA_SHEET), StructureSettings.of(settings.odometry.preprocess)
     T = np.array([state.T_world_drone for state in states]) @ flight.T_drone_sensor
     stretch = with_range_sigmas(np.zeros((len(states), 6, 6)), told, T, structure)[:, :3, :3]
     _, exact = fly(truth.tower, settings.flight, settings.seed)

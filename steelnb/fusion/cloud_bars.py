@@ -89,8 +89,13 @@ class CloudBars:
     @cached_property
     def is_off(self) -> NDArray[np.bool_]:
         """Whether each of the points on no surface lies on no bar ``(M,)``."""
-        half_m = FIT_TUBES * np.maximum(0.5 * self.width_m, self.tube_m)
-        return np.asarray(nearest_bar(self.steel, self.bars, half_m, self.tube_m) < 0)
+        return ~self.within(FIT_TUBES)
+
+    def within(self, reach: float) -> NDArray[np.bool_]:
+        """Whether each of the points on no surface lies within ``reach`` times the half-width of a bar, or times the
+        tube if that is wider ``(M,)``."""
+        reach_m = reach * np.maximum(0.5 * self.width_m, self.tube_m)
+        return np.asarray(nearest_bar(self.steel, self.bars, reach_m, self.tube_m) >= 0)
 
     @property
     def share_off(self) -> float:

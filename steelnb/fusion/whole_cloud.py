@@ -156,10 +156,10 @@ def _bars_in_tubes(points: Array, voxel_m: float, min_votes: int) -> CloudBars:
         bars, is_weak = refitted(off, split_bends(off, bars, FIT_TUBES * TUBE_M, BEND_SHARE))
         bars = _tied(bars, off, is_weak)
     width_m = widths_of(off, bars)
-    typical_m = float(np.median(width_m)) if len(bars) else math.nan
-    on_bar = ~on_plates(free, bars, np.maximum(0.5 * width_m, TUBE_M), TUBE_M)
+    half_m, typical_m = np.maximum(0.5 * width_m, TUBE_M), float(np.median(width_m)) if len(bars) else math.nan
+    on_bar = ~on_plates(free, bars, half_m, TUBE_M)
     bars, width_m = bars.take(on_bar), width_m[on_bar]
-    freedom = freedom_of(ridges.points, bars, np.maximum(0.5 * width_m, TUBE_M))
+    freedom = freedom_of(ridges.points, bars, half_m[on_bar])
     sure = (freedom >= FREE_MIN) & ((bars.length >= SURE_M) | _held(bars, surfaces))
     bars, freedom, width_m = bars.take(sure), freedom[sure], width_m[sure]
     described = surfaces.described(label)

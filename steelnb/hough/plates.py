@@ -20,7 +20,7 @@ TURNS_RAD = np.linspace(0.0, np.pi, 12, endpoint=False)
 
 
 def on_plates(points: Array, segments: Segments, half_m: Array, cell_m: float) -> NDArray[np.bool_]:
-    """Whether each segment lies on a plate ``(S,)``: a bar is longer than what it lies on is wide.
+    """Whether each segment lies on a plate ``(S,)``, which is about as wide as the segment is long.
 
     A segment lies on a plate if the ``points (N, 3)`` cover `COVERED_MIN` of the disc beside it, in some plane through
     it. The segment is a diameter of this disc, whose radius is at least `RADIUS_MIN` half-widths ``half_m (S,)``. Its

@@ -215,6 +215,7 @@ class _Bag:
     ) -> Iterator[Callable[[], Array]]:
         """Decoders of the scans with these increasing numbers; ``groups``: numbers of the messages of each."""
         scan_of = {k: each for each in number.tolist() for k in groups[each]}
+        last = max(scan_of, default=-1)
 
         def points(raw: Raw, k: int) -> Array:
             message = self.bag.decode(raw)
@@ -230,7 +231,7 @@ class _Bag:
                 if k == groups[scan_of[k]][-1]:
                     yield partial(joined_parts, parts)
                     parts = []
-            if k >= max(scan_of, default=-1):
+            if k >= last:
                 return
 
 

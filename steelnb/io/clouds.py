@@ -131,18 +131,19 @@ def read_points(path: Path | str) -> Array:
 
 
 def _read_numpy(path: Path) -> Any:
-    """Mapped, since then NumPy compares the size with the file before it allocates."""
+    """The array of a NPY file, or that of points in a NPZ file. The former is mapped, since NumPy then compares its
+    size with the file before it allocates."""
     try:
         stored = np.load(path, mmap_mode="r", allow_pickle=False)
-        arrays = None if isinstance(stored, np.ndarray) else {name: stored[name] for name in stored.files}
-        arrays = arrays and {name: array for name, array in arrays.items() if isinstance(array, np.ndarray)}
+        if not isinstance(stored, np.ndarray):
+            stored = {name: stored[name] for name in stored.files}
     except Exception:  # NumPy evaluates the header, so that damage raises anything
         raise ValueError("damaged, truncated, or not of numbers; expected an array by numpy.save") from None
-    stored = stored if arrays is None else _of_archive(arrays)
-    is_picture = isinstance(stored, np.ndarray) and stored.dtype in ("u1", "i1")
-    if not isinstance(stored, np.ndarray) or is_picture or (not stored.dtype.names and stored.dtype.kind not in "fiu"):
+    stored = _of_archive(stored) if isinstance(stored, dict) else stored
+    is_picture = stored.dtype in ("u1", "i1")
+    if is_picture or (not stored.dtype.names and stored.dtype.kind not in "fiu"):
         what = "a picture of " if is_picture else ""
-        raise ValueError(f"{what}{getattr(stored, 'dtype', 'something else')}; expected coordinates")
+        raise ValueError(f"{what}{stored.dtype}; expected coordinates")
     if stored.dtype.names is not None:
         field = {name.lower(): name for name in stored.dtype.names}
         if not {"x", "y", "z"} <= field.keys():
@@ -162,8 +163,10 @@ def _read_numpy(path: Path) -> Any:
     return stored[..., :3]
 
 
-def _of_archive(arrays: Mapping[str, Any]) -> Any:
-    """The array of coordinates among those of a NPZ file: the only one, or the only one that may be, or ``x y z``."""
+def _of_archive(members: Mapping[str, Any]) -> Any:
+    """The points among the members of a NPZ file: ``x``, ``y`` and ``z``; else the only array, the only one with three
+    columns, or of several of these the only one with a name of `CLOUD_NAMES`. Raises ValueError."""
+    arrays = {name: each for name, each in members.items() if isinstance(each, np.ndarray)}
     named = {name.lower(): array for name, array in arrays.items()}
     if named.keys() >= {"x", "y", "z"}:
         return np.stack([named[axis].astype(np.float64).ravel() for axis in "xyz"], axis=-1)

@@ -92,8 +92,7 @@ def correct(
         odometry = make_odometry(settings, flight.T_drone_sensor, flight.imu, flight.images)
     else:
         odometry = make_own(own, flight)
-    estimate, preprocess = run(flight, odometry, on_step, before), settings.preprocess
-    structure = StructureSettings(floor_m=preprocess.floor_m, range_max_m=preprocess.crop_m)
+    estimate, structure = run(flight, odometry, on_step, before), StructureSettings.of(settings.preprocess)
     if estimate.pose_covariance is not None:
         T = estimate.corrected.T_world_drone @ flight.T_drone_sensor
         estimate = replace(estimate, pose_covariance=with_range_sigmas(estimate.pose_covariance, flight, T, structure))

@@ -86,9 +86,9 @@ def evaluate(
     flight: Flight, estimate: Estimate, segments: Segments, structure: Structure, known: References
 ) -> dict[str, float]:
     """Numbers of scans used and, by reason, not used; milliseconds per update; sizes of the map; and errors in metres
-    at the stamps of the truth, also of another program's trajectory. An estimate with covariances adds
-    ``position_sigma_m`` and ``position_sigma_max_m``, the median and largest root mean square error of the position,
-    metres, that these claim.
+    at the stamps of the truth, also of another program's trajectory. If the estimate has covariances,
+    ``position_sigma_m`` and ``position_sigma_max_m`` are the median and the largest standard deviation of the position,
+    in all three axes together, metres.
 
     ``on_time_share``: share of updates done before the next scan; ``prior_followed``: scans that leave one or more
     directions undetermined, in which the prior was followed.

@@ -14,7 +14,6 @@ from steelnb.fusion.candidates import LENGTH_MIN_M
 from steelnb.fusion.cloud_bars import CloudBars
 from steelnb.fusion.ridges import TUBE_M
 from steelnb.fusion.whole_cloud import bars_of_cloud, default_tube
-from steelnb.hough.freedom import nearest_bar
 from steelnb.hough.lines import spacing
 from steelnb.hough.whole_structure.search import MIN_VOTES
 from steelnb.io.clouds import Cloud, read_cloud
@@ -43,7 +42,7 @@ class SegmentReport:
     """``segments`` in the coordinates of the file, the longest first, with their ``freedom (B,)`` and ``width_m (B,)``
     (`CloudBars`).
 
-    Shares of the file's distinct points: ``explained``, within a tube or half its width of a bar, of those that
+    Shares of the file's distinct points: ``explained``, within a tube or half the width of a bar, of those that
     lie on no surface; ``on_surfaces``. ``dx_m``: radius of the tube; ``summary`` and ``warnings``: lines of text.
     """
 
@@ -93,7 +92,7 @@ def segment_file(
         found = bars_of_cloud(cloud.points, dx_m, voxel_m, min_votes, on_stage)
         found = found.take(np.argsort(-found.bars.length, kind="stable"))
         bars, off, dx = found.bars, found.surface < 0, found.tube_m
-        explained = _share_on_bars(found) if off.any() else 0.0
+        explained = float(found.within(1.0).mean()) if off.any() else 0.0
         segments = bars.moved(cloud.origin)
         columns = {"width_m": found.width_m.round(3), "freedom": found.freedom.round(2)}
         write_segments(segments, folder / "segments.csv", more=columns)
@@ -126,12 +125,6 @@ def segment_file(
     return SegmentReport(
         segments, found.freedom, found.width_m, voxel, dx, explained, on_surfaces, summary, warnings
     )  # fmt: skip
-
-
-def _share_on_bars(found: CloudBars) -> float:
-    """Share of the points on no surface that lie within a tube, or half its width, of a bar."""
-    half_m = np.maximum(0.5 * found.width_m, found.tube_m)
-    return float((nearest_bar(found.steel, found.bars, half_m, found.tube_m) >= 0).mean())
 
 
 def _name(surface: Surface) -> str:

@@ -52,8 +52,8 @@ def result_lines(numbers: dict[str, float], labels: dict[str, str], structure: S
         table = pd.DataFrame(errors, index=list(ERRORS.values())).T.to_string(float_format="{:.3f}".format)
         lines += [f"{'error (m)' if k == 0 else '':9} {line}" for k, line in enumerate(table.splitlines())]
     if "position_sigma_m" in numbers:
-        sure = "sure      of positions to {position_sigma_m:.3f} m (median), {position_sigma_max_m:.3f} m at most"
-        lines.append(sure.format_map(numbers) + ", by their own covariances")
+        sigma = "sigma     of positions {position_sigma_m:.3f} m (median), {position_sigma_max_m:.3f} m at most"
+        lines.append(sigma.format_map(numbers) + ", by the estimate's own covariances")
     lines.append(f"map       {numbers['map_points']} points, {numbers['segments']} bars")
     found = f"{len(structure)} bars, {len(structure.joint)} joints"
     return [*lines, f"structure {found if len(structure) else f'empty: {structure.reason}'}"]

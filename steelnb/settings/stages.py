@@ -69,6 +69,11 @@ class StructureSettings(Settings):
     adjust: bool = False
     thickness: Annotated[float, Field(ge=THICKNESS_MIN, le=THICKNESS_MAX)] | None = None
 
+    @classmethod
+    def of(cls, preprocess: PreprocessSettings) -> Self:
+        """With the floor and the range of a method's preprocessing."""
+        return cls(floor_m=preprocess.floor_m, range_max_m=preprocess.crop_m)
+
     def lowered(self, by_m: float) -> Self:
         """These settings for a world whose zero is ``by_m`` higher."""
         return self.replace(floor_m=self.floor_m - by_m) if by_m else self

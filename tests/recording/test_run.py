@@ -133,7 +133,8 @@ def test_a_smoothed_run_tells_the_uncertainty_of_its_bars(simulated, undrawn, tm
     table = pd.read_csv(tmp_path / "table.csv", index_col="quantity")["value"].astype(float)
     told = table[["position_sigma_m", "position_sigma_max_m"]]
     np.testing.assert_allclose(told, [np.median(pose_sigma_m), pose_sigma_m.max()], rtol=1e-5)
-    assert any(line.startswith("sure      of positions to 0.") for line in found.summary)
+    line = "sigma     of positions {:.3f} m (median), {:.3f} m at most, by the estimate's own covariances"
+    assert line.format(*told) in found.summary
     assert found.numbers["corrected_ate_rmse_m"] < 0.5 * found.numbers["prior_ate_rmse_m"]
 
 

@@ -71,9 +71,7 @@ class FaceOdometry(BaseOdometry):
         self.T_sensor_drone = np.linalg.inv(self.T_drone_sensor)
         self.inertial = self.prediction if isinstance(self.prediction, InertialPrediction) else None
         self.tilt_sigma_rad = self.settings.tilt_sigma_rad or (TILT_SIGMA_RAD if self.inertial else 0.0)
-        preprocess = self.settings.preprocess
-        bars = StructureSettings(floor_m=preprocess.floor_m, range_max_m=preprocess.crop_m)
-        self.keyframes = Keyframes(bars, self.tilt_sigma_rad)
+        self.keyframes = Keyframes(StructureSettings.of(self.settings.preprocess), self.tilt_sigma_rad)
         if self.inertial:
             self.keyframes.readings = self.inertial.imu, self.inertial.noise, self.T_drone_sensor
         self.faces: Locator | None = None
