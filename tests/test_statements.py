@@ -53,6 +53,20 @@ def test_no_source_is_of_a_former_sentence(name):
     assert [says for says in SOURCES[name] if not any(says in each for each in statements_of(name))] == []
 
 
+def test_the_table_of_the_reports_plots_is_that_of_their_draws():
+    report = ["report_mean_m", "report_max_m", "report_final_m"]
+    names = [*report, "mean_m", "mean_low_m", "mean_high_m", "max_m", "final_m"]
+    metrics, page = {}, (ROOT / "docs" / "report.md").read_text(encoding="utf-8")
+    for id in ("segmentation-odometry-draws", "cloud-odometry-draws"):
+        metrics |= json.loads((ROOT / "results" / id / "metrics.json").read_text(encoding="utf-8"))
+    rows = re.findall(r"\n\| (3\.\d (\S+) .+?) \| (.+?) \| (.+?) \|", page)
+    for plot, trajectory, theirs, ours in rows:
+        own = f"{trajectory}-report.band.report-segments." if plot.endswith(" average") else f"-report.band.{plot}."
+        value = {key.rpartition(".")[2]: value for key, value in metrics.items() if own in key}
+        assert re.findall(r"\d\.\d+", f"{theirs} {ours}") == [f"{value[name]:.3f}" for name in names], plot
+    assert len(rows) == 15
+
+
 def test_numbers_and_their_units_are_read_as_a_reader_does():
     text = "Errors are 30–31 / 25–28 mm and 4 cm (Figures 3.2 and 3.3, seed 21), .85 to .97 of 1,200 scans, −4 to +4 %."
     read = [(each.text, each.unit) for each in stated_numbers(text)]

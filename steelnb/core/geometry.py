@@ -6,9 +6,12 @@ degrees of freedom it is the last four numbers: yaw, x, y, z. Source: Solà, Der
 state estimation in robotics" (arXiv 1812.01537, 2018).
 """
 
+import math
+
 import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
+from steelnb.core.kernels import njit
 from steelnb.core.types import Array
 
 UPRIGHT_DOF, POSE_DOF = 4, 6
@@ -52,9 +55,21 @@ def inverse_poses(T: Array) -> Array:
 def exp_about(centre: Array, xi: Array) -> Array:
     """Rigid motion ``(4, 4)`` of a twist ``(ω, v)``: rotate by ω about ``centre (3,)``, then translate by v."""
     motion = np.eye(4)
-    motion[:3, :3] = Rotation.from_rotvec(xi[:3]).as_matrix()
+    _write_rotation(xi[0], xi[1], xi[2], motion)
     motion[:3, 3] = centre - motion[:3, :3] @ centre + xi[3:]
     return motion
+
+
+@njit(cache=True)
+def _write_rotation(x, y, z, motion):  # type: ignore[no-untyped-def]
+    """Write the rotation by a rotation vector to ``motion[:3, :3]``, by the formulas and to the bit of
+    `scipy.spatial.transform.Rotation`, whose call takes longer than all other algebra of a registration's step."""
+    angle = math.sqrt(x * x + y * y + z * z)
+    scale = 0.5 - angle**2 / 48 + angle**2 * angle**2 / 3840 if angle <= 1e-3 else math.sin(angle / 2) / angle
+    x, y, z, w = scale * x, scale * y, scale * z, math.cos(angle / 2)
+    motion[0, 0], motion[0, 1], motion[0, 2] = x * x - y * y - z * z + w * w, 2 * (x * y - z * w), 2 * (x * z + y * w)
+    motion[1, 0], motion[1, 1], motion[1, 2] = 2 * (x * y + z * w), -x * x + y * y - z * z + w * w, 2 * (y * z - x * w)
+    motion[2, 0], motion[2, 1], motion[2, 2] = 2 * (x * z - y * w), 2 * (y * z + x * w), -x * x - y * y + z * z + w * w
 
 
 def moved_poses(T: Array, step: Array) -> Array:

@@ -3,6 +3,7 @@
 import itertools
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -10,7 +11,7 @@ from steelnb.core.arguments import checks_arguments
 from steelnb.core.types import Array, IntArray
 from steelnb.settings import TowerSettings
 from steelnb.settings.tower import Kind
-from steelnb.simulation.member_list import leg_half_width, listed_members
+from steelnb.simulation.member_list import leg_half_width, list_bytes, listed_members
 from steelnb.simulation.members import ON_PLATE, Member, make_member, mesh_members, unit
 
 
@@ -45,9 +46,14 @@ def build_tower(settings: TowerSettings | None = None) -> Tower:
     """The tower of the settings (default: the preset ``tapered``), standing on z = 0 of the world frame, metres.
 
     Arms extend along ±x. The mesh has a closed prism for each member; plates have no thickness. Nothing is random.
-    Raises `InputError`.
+    Equal settings share one tower, whose arrays are read-only. Raises `InputError`.
     """
     settings = settings or TowerSettings()
+    return _built(settings, list_bytes(settings.members) if settings.members else b"")
+
+
+@lru_cache(maxsize=8)  # the report's tower takes half a second, and each flight asks for it
+def _built(settings: TowerSettings, _list_bytes: bytes) -> Tower:
     if settings.members is None:
         joints, members = _tapered_members(settings)
         plates = np.zeros((0, 3, 3))
@@ -57,6 +63,8 @@ def build_tower(settings: TowerSettings | None = None) -> Tower:
     triangles = np.concatenate([triangles, len(vertices) + np.arange(3 * len(plates)).reshape(-1, 3)])
     vertices = np.concatenate([vertices, plates.reshape(-1, 3)])
     owner = np.concatenate([owner, np.full(len(plates), ON_PLATE)])
+    for array in (joints, vertices, triangles, owner):
+        array.setflags(write=False)
     return Tower(joints, tuple(members), vertices, triangles, owner, settings)
 
 

@@ -33,6 +33,13 @@ def test_a_twist_keeps_its_rotation_vector_and_moves_its_centre_by_its_translati
     np.testing.assert_allclose(geometry.transform_points(T, centre[None])[0], centre + xi[3:], atol=1e-12)
 
 
+@pytest.mark.parametrize("size", [0.0, 1e-9, 1e-4, 1e-3, 0.1, 3.0, 10.0])
+def test_the_rotation_of_a_twist_has_the_bits_of_scipy(rng, size):
+    for xi in size * rng.normal(size=(200, 6)):
+        rotation = geometry.exp_about(np.zeros(3), xi)[:3, :3]
+        assert (rotation == Rotation.from_rotvec(xi[:3]).as_matrix()).all()
+
+
 def test_the_step_of_a_pose_is_a_twist_about_its_position_and_the_difference_undoes_it(rng):
     T, step = random_poses(rng, 3), rng.uniform(-1.0, 1.0, (3, 6))
     moved = geometry.moved_poses(T, step)
