@@ -32,7 +32,7 @@ from steelnb.hough import detect_segments_with
 from steelnb.hough.lines import detect_lines
 from steelnb.odometry import correct
 from steelnb.odometry.faces import odometry as faces
-from steelnb.odometry.segments.odometry import shared_segments
+from steelnb.odometry.sharing import shared_segments
 from steelnb.points import preprocess_scan
 from steelnb.settings import METHODS, ExperimentSettings, FaceSettings, SegmentSettings, StructureSettings
 

@@ -195,14 +195,15 @@ def checked_poses(T_target_source: object, name: str, count: int) -> _Array:
 
 
 def _real(values: object, name: str, expected: str) -> _Array:
-    """An array of real numbers as float64; masked entries become NaN."""
+    """An array of real numbers as contiguous float64; masked entries become NaN. Slices of larger arrays are copied,
+    since kernels would be compiled anew for them."""
     try:
         if isinstance(values, np.ma.MaskedArray) and not fields_of(values):
             values = np.ma.filled(values.astype(np.float64), np.nan)
         array = as_array(values)
         if array.dtype.kind not in "fiu":
             raise TypeError
-        return array.astype(np.float64, copy=False)
+        return np.asarray(array, dtype=np.float64, order="C")
     except (TypeError, ValueError, RuntimeError):  # the last by tensors with gradients
         kind = getattr(values, "dtype", type(values).__name__)
         raise InputError(f"{name}: {kind}; expected {expected}{remedy(values)}") from None

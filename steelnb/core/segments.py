@@ -142,7 +142,8 @@ def _at_least(array: NDArray[Any], name: str, low: int, dtype: Any) -> NDArray[A
 
 def check_columns(instance: object, **columns: int) -> None:
     """Raise `InputError` unless fields are numbers of as many rows as the first field has: ``(M,)`` for 0 columns,
-    ``(M, 3)`` for 3. Values are not read, so that this takes a few microseconds."""
+    ``(M, 3)`` for 3. Values are not read, so that this takes a few microseconds. Slices of larger arrays are copied,
+    since kernels would be compiled anew for them."""
     rows: Any = None
     for name, width in columns.items():
         array = getattr(instance, name)
@@ -153,3 +154,5 @@ def check_columns(instance: object, **columns: int) -> None:
             has = f"{checks.shown(array) if dtype is None else dtype} of shape {shape}"
             expected = f"({rows or 'M'}, {width or ''}".rstrip() + ")"
             raise InputError(f"{type(instance).__name__}.{name}: {has}; expected an array {expected} of numbers")
+        if isinstance(array, np.ndarray) and not array.flags.c_contiguous:
+            checks.set_checked(instance, **{name: np.ascontiguousarray(array)})

@@ -12,7 +12,8 @@ from steelnb.odometry.plugins import load_odometry
 from steelnb.odometry.report.clouds import ReportCloudOdometry
 from steelnb.odometry.report.segments import ReportSegmentOdometry
 from steelnb.odometry.run import run
-from steelnb.odometry.segments.odometry import SegmentOdometry, shared_segments
+from steelnb.odometry.segments.odometry import SegmentOdometry
+from steelnb.odometry.sharing import shared_segments
 
 __all__ = [
     "BaseOdometry", "CloudOdometry", "DeepVoOdometry", "FaceOdometry", "LoamOdometry", "Odometry", "OrbOdometry",

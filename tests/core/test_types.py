@@ -198,6 +198,14 @@ def test_stamps_match_to_a_microsecond_at_any_epoch(epoch_s):
             path.at(path.stamp_s + off_s)
 
 
+def test_slices_of_ends_are_copied_so_that_kernels_are_not_compiled_for_them():
+    ends = np.random.default_rng(0).normal(size=(3, 2, 3))
+    bars = Segments(ends[:, 0], ends[:, 1], np.ones(3), np.ones(3))
+    assert bars.start.flags.c_contiguous
+    assert bars.end.flags.c_contiguous
+    np.testing.assert_array_equal(np.stack([bars.start, bars.end], axis=1), ends)
+
+
 def test_bars_from_tables_and_with_unknown_radii_are_taken():
     table = pd.DataFrame({"count": [3, 4], "radius": [0.01, np.nan]})
     ends = np.arange(6.0).reshape(2, 3)

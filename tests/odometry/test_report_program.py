@@ -8,8 +8,8 @@ from scipy.optimize import minimize
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
-from steelnb.core.types import Segments
-from steelnb.odometry import ReportCloudOdometry, ReportSegmentOdometry, make_odometry
+from steelnb.core.types import Scan, Segments
+from steelnb.odometry import ReportCloudOdometry, ReportSegmentOdometry, make_odometry, shared_segments
 from steelnb.odometry.report import segments as report_segments
 from steelnb.points.covariances import neighbour_covariances, regularised
 from steelnb.points.kdtree import build_kdtree
@@ -228,6 +228,11 @@ def rod(start, end, spacing_m=0.02, scatter_m=0.0, seed=0):
     return points + np.random.default_rng(seed).normal(0, scatter_m, points.shape)
 
 
+def cloud_of_rods(k):
+    """Points of three bars, drone frame, as scan ``k`` of a sensor with noise sees them."""
+    return np.concatenate([rod(start, end, scatter_m=0.005, seed=3 * k + b) for b, (start, end) in enumerate(BARS)])
+
+
 def sort(points, **changes):
     settings = OdometrySettings.preset("report-segments", "report").hough.replace(**changes)
     return report_segments.sorted_segments(points, settings)[0]
@@ -267,6 +272,26 @@ def test_a_step_of_segments_is_half_the_mean_offset_across_and_counts_from_the_n
     # Segments are mapped before the update, and hardly move their bars.
     np.testing.assert_allclose(odometry.bars.anchor[:, 0] - BARS[0, 0, 0], 0.01 * drift[0], atol=1e-12)
     assert np.linalg.norm(odometry.update(corner(30), pose(drift)).T_world_drone[:3, 3]) < 0.8 * np.linalg.norm(drift)
+
+
+def test_runs_under_other_drifts_share_the_lines_of_their_scans(monkeypatch):
+    scans = [cloud_of_rods(k) for k in range(3)]
+    calls, found = [], report_segments.sorted_segments
+    monkeypatch.setattr(report_segments, "sorted_segments", lambda *given: calls.append(1) or found(*given))
+
+    def fly(shift_m):
+        odometry = ReportSegmentOdometry(OdometrySettings.preset("report-segments", "report"))
+        steps = [odometry.update(Scan(0.2 * k, scan), pose((0, shift_m * k, 1))) for k, scan in enumerate(scans)]
+        assert len(odometry.map_segments()) == len(BARS)
+        return [step.T_world_drone for step in steps], [step.seconds["hough"] for step in steps]
+
+    alone = [fly(shift_m)[0] for shift_m in (0.0, 0.01)]
+    calls.clear()
+    with shared_segments():
+        (still, still_s), (drifting, drifting_s) = fly(0.0), fly(0.01)
+    assert len(calls) == len(scans)
+    np.testing.assert_array_equal([still, drifting], alone)
+    assert still_s == drifting_s
 
 
 def test_segments_match_if_both_ends_are_near_and_they_overlap(segments):

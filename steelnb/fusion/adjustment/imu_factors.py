@@ -112,8 +112,8 @@ class Inertial:
             for T, step in ((T_world_sensor[:-1], before), (T_world_sensor[1:], after))
         )
         old, new = self.motion[:-1] + before[POSE_DOF:], self.motion[1:] + after[POSE_DOF:]
-        R, imu = T0[:, :3, :3], self.imu
-        read = integrated(imu.stamp_s, imu.specific_force, imu.angular_rate, self.stamp_s, old[:, 3:])
+        R, imu, bias = T0[:, :3, :3], self.imu, np.ascontiguousarray(old[:, 3:])
+        read = integrated(imu.stamp_s, imu.specific_force, imu.angular_rate, self.stamp_s, bias)
         by_gravity = np.array([0.0, 0.0, -GRAVITY]) * gap_s
         rotation = T1[:, :3, :3] @ (R @ read.rotation).transpose(0, 2, 1)
         by_force, shift = ((R @ each[:, :, None])[:, :, 0] for each in (read.velocity, read.position))

@@ -14,6 +14,7 @@ from steelnb.core.types import Array, Scan, Segments
 from steelnb.hough import detect_lines
 from steelnb.odometry.base import BaseOdometry, Outcome, Stopwatch
 from steelnb.odometry.segments.corrections import GAIN, across_of
+from steelnb.odometry.sharing import timed
 from steelnb.points import preprocess_scan
 from steelnb.settings import HoughSettings, OdometrySettings, ReportSegmentSettings
 
@@ -51,12 +52,13 @@ class ReportSegmentOdometry(BaseOdometry):
     def _update(self, scan: Scan, prior: Array, watch: Stopwatch) -> Outcome:
         points = preprocess_scan(scan, prior, np.eye(4), self.preprocess)
         watch.lap("preprocess")
-        found, self.lines = sorted_segments(points, self.settings.hough)
+        (found, self.lines), hough_s = timed(sorted_segments, points, self.settings.hough)
         T_world_drone = prior.copy()
         T_world_drone[:3, 3] -= self.error
         segments = found.transformed(T_world_drone)
         segments = segments.take(np.maximum(segments.start[:, 2], segments.end[:, 2]) > FLOOR_M)
         watch.lap("hough")
+        watch.seconds["hough"] = hough_s
         reason = "no segment of the map seen" if len(self.bars) else "first scan"
         offsets = self.bars.insert(segments)
         watch.lap("match")

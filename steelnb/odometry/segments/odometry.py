@@ -1,11 +1,5 @@
 """Odometry by segments: the report's section 3.2, with the report's correction and others."""
 
-import hashlib
-import time
-from collections.abc import Iterator
-from contextlib import contextmanager
-from contextvars import ContextVar
-
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -17,11 +11,9 @@ from steelnb.odometry.drift_filter import PRIOR_SIGMA, DriftPrediction
 from steelnb.odometry.near_side import NearSide
 from steelnb.odometry.prediction import RegisteredPose
 from steelnb.odometry.segments.corrections import CORRECTIONS, shifted
+from steelnb.odometry.sharing import timed
 from steelnb.points import preprocess_scan
 from steelnb.settings import HoughSettings, OdometrySettings, SegmentSettings
-
-Found = dict[tuple[bytes, HoughSettings], tuple[Segments, float]]
-_shared: ContextVar[Found | None] = ContextVar("shared", default=None)
 
 
 class SegmentOdometry(BaseOdometry):
@@ -50,7 +42,7 @@ class SegmentOdometry(BaseOdometry):
             self.near_side.update(scan.points)
             points = self.near_side.shifted(points, self.T_drone_sensor[:3, 3])
         watch.lap("preprocess")
-        found, hough_s = timed_segments(points, s.hough)
+        found, hough_s = timed(segments_in, points, s.hough)
         observed = found.transformed(T_world_drone)
         watch.lap("hough")
         watch.seconds["hough"] = hough_s
@@ -85,26 +77,3 @@ def segments_in(points: Array, settings: HoughSettings) -> Segments:
     if len(points) < settings.min_votes or not np.ptp(points, axis=0).max() > settings.dx_m:
         return Segments.empty()
     return detect_segments_with(points, settings)
-
-
-@contextmanager
-def shared_segments() -> Iterator[None]:
-    """Within this context, equal points are segmented only once for all odometries with equal settings: several methods
-    on one flight often have the same points. Each odometry reports the time of the first segmentation."""
-    token = _shared.set({})
-    try:
-        yield
-    finally:
-        _shared.reset(token)
-
-
-def timed_segments(points: Array, settings: HoughSettings) -> tuple[Segments, float]:
-    """`segments_in` and its seconds; within `shared_segments`, those of the first call with these arguments."""
-    begin, shared = time.perf_counter(), _shared.get()
-    if shared is None:  # a single run needs no hash of its points
-        return segments_in(points, settings), time.perf_counter() - begin
-    key = hashlib.sha256(np.ascontiguousarray(points).data).digest(), settings
-    if key not in shared:
-        begin = time.perf_counter()
-        shared[key] = segments_in(points, settings), time.perf_counter() - begin
-    return shared[key]
