@@ -8,7 +8,6 @@ A flight takes about five minutes.
 """
 
 import sys
-from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -23,13 +22,13 @@ from steelnb.odometry import make_odometry, run
 from steelnb.odometry.faces.odometry import FaceOdometry
 from steelnb.odometry.imu_filter import InertialPrediction
 from steelnb.odometry.inertial_state import State
+from steelnb.points.calibration import calibrated
 from steelnb.settings import ExperimentSettings, StructureSettings, TrajectoryName
 from steelnb.simulation import Truth, fly, measured_imu
 
 FLIGHTS: tuple[TrajectoryName, ...] = ("zigzag", "loops")
-DATA_SHEET = 0.003, 0.005
-"""Standard deviations of scale and offset (m) that the camera's data sheet allows (`steelnb.simulation.tof_faults`)."""
 TOLD = "position, told"
+"""With the standard deviations of scale and offset that the sensor's preset tells, those of its data sheet."""
 DURATION_S, FIRST_S = 200.0, 30.0
 DIFFERENCE_S = 0.01
 """Half of the interval over which true positions are differentiated."""
@@ -59,9 +58,9 @@ def biases(settings: ExperimentSettings, exact: Imu, stamp_s: Array) -> Array:
 
 
 def squares(settings: ExperimentSettings, flight: Flight, states: list[State], truth: Truth) -> pd.DataFrame:
-    """Normalised squared errors, a row per scan; ``TOLD`` with the uncertainty of ranges that `DATA_SHEET` states."""
+    """Normalised squared errors, a row per scan."""
     stamp_s = np.array([state.stamp_s for state in states])
-    told, structure = replace(flight, range_sigmas=DATA_SHEET), StructureSettings.of(settings.odometry.preprocess)
+    told, structure = calibrated(flight, settings.tof), StructureSettings.of(settings.odometry.preprocess)
     T = np.array([state.T_world_drone for state in states]) @ flight.T_drone_sensor
     stretch = with_range_sigmas(np.zeros((len(states), 6, 6)), told, T, structure)[:, :3, :3]
     _, exact = fly(truth.tower, settings.flight, settings.seed)

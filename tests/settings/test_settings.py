@@ -298,7 +298,8 @@ def test_an_honest_sensor_is_the_ideal_one_with_faults_and_an_imu():
     ideal, honest = (ExperimentSettings.preset(sensor=name, method="best") for name in sensors)
     assert ideal.tof.faults == ()
     assert ideal.imu is None
-    told = {"sigma_filter_px": 0}  # all that an estimator is told: no fault
+    sigmas = {"tof.range_scale_sigma": 0.0, "tof.range_offset_sigma_m": 0.0}
+    told = {"sigma_filter_px": 0, **sigmas}  # all that an estimator is told: no fault, and what a data sheet allows
     assert (honest.flight.still_s, ideal.flight.still_s) == (REST_S, 0.0)
     honest = honest.override({"flight.still_s": 0.0})
     assert honest.override({"tof.faults": [], "imu": None, **told}).replace(sensor="starling2") == ideal
