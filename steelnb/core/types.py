@@ -111,7 +111,7 @@ class Imu:
 @dataclass(frozen=True, eq=False)
 class Scan:
     """One scan: points ``(H, W, 3)`` or ``(N, 3)`` in the sensor frame, metres; invalid returns are NaN. Points at
-    exactly zero become NaN: many drivers write them for no return. Without such points, the array is shared.
+    exactly zero become NaN: many drivers write them for no return. Without such points, a contiguous array is shared.
 
     ``fault``: why a scan of a recording has no points, such as "unreadable file"; else empty.
     """

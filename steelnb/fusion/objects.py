@@ -71,8 +71,9 @@ def in_structures(
     """
     if not on_bar.any():
         return np.zeros(len(bars), dtype=bool)
-    number, steel = objects_of(points[on_bar], APART * tube_m), cKDTree(points[on_bar])
-    distance, nearest = steel.query(points, distance_upper_bound=AROUND * tube_m)
+    number, steel = objects_of(points[on_bar], APART * tube_m), cKDTree(points[on_bar], balanced_tree=False)
+    distance, nearest = np.zeros(len(points)), np.cumsum(on_bar) - 1
+    distance[~on_bar], nearest[~on_bar] = steel.query(points[~on_bar], distance_upper_bound=AROUND * tube_m)
     around = np.bincount(number[nearest[np.isfinite(distance)]], minlength=number.max() + 1)
     axes = [
         np.linspace(start, end, 3 + int(length / STEP_M))[1:-1]
@@ -83,7 +84,8 @@ def in_structures(
     is_structure = (count <= ALONE) | (np.bincount(number) >= EXPLAINED_MIN * around)
     at_surface, clear = np.zeros((len(bars), 2), dtype=bool), np.zeros(len(bars), dtype=bool)
     if len(surface):
-        at_surface = (cKDTree(surface).query(np.stack([bars.start, bars.end]))[0] <= REACH_M / TUBE_M * tube_m).T
+        grounds = cKDTree(surface, balanced_tree=False, compact_nodes=False)  # for few queries
+        at_surface = (grounds.query(np.stack([bars.start, bars.end]))[0] <= REACH_M / TUBE_M * tube_m).T
     is_held = np.asarray((at_surface | at_bars(bars, tube_m)).all(axis=1))
     doubtful = np.flatnonzero(~is_structure[own])
     every = cKDTree(points) if len(doubtful) else steel

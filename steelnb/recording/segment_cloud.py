@@ -85,8 +85,7 @@ def segment_file(
         cloud = read_cloud(path)
         _check_length("voxel_m", voxel_m, cloud)
         _check_length("dx_m", dx_m, cloud)
-        least_m = (dx_m or default_tube(cloud.points)) / VOXELS_MAX
-        if voxel_m is not None and voxel_m < least_m:
+        if voxel_m is not None and voxel_m < (least_m := (dx_m or default_tube(cloud.points)) / VOXELS_MAX):
             raise InputError(f"voxel_m = {voxel_m}: expected at least {least_m:.2g} m, a twelfth of the tube (--dx)")
         apart_m = spacing(cloud.points)
         found = bars_of_cloud(cloud.points, dx_m, voxel_m, min_votes, on_stage)
