@@ -81,21 +81,26 @@ def write_overview(root: Path, folder: Path) -> None:
             rows.append(f"| {title} | {notebook} | {shown} | [metrics]({id}/metrics.json), [table]({id}/table.csv) |")
     _fill(folder / "README.md", rows)
     if folder == root / "results":
-        bands = [folder / id / "bands.csv" for id in BANDS]
-        _fill(root / "docs" / "report.md", _report_rows([pd.read_csv(path) for path in bands if path.is_file()]))
+        flown = [folder / id for id in BANDS if (folder / id / "bands.csv").is_file()]
+        _fill(root / "docs" / "report.md", _report_rows(flown))
 
 
-def _report_rows(bands: Sequence[pd.DataFrame]) -> list[str]:
-    """The rows of docs/report.md, from tables of `notebook.bands.band_table`."""
+def _report_rows(folders: Sequence[Path]) -> list[str]:
+    """The rows of docs/report.md, from folders with tables of `notebook.bands.band_table`. Metrics have all digits of
+    their numbers."""
     head = "| plot | the report: mean / max / end | ours: mean (10 to 90 %) / max / end | below | shape | agrees |"
     rows = [head, "|---|---|---|---|---|---|"]
-    for row in itertools.chain.from_iterable(table.itertuples() for table in bands):
-        band = f"{row.mean_m:.3f} ({row.mean_low_m:.3f} to {row.mean_high_m:.3f})"
-        rows.append(
-            f"| {row.plot} | {row.report_mean_m:.3f} / {row.report_max_m:.3f} / {row.report_final_m:.3f}"
-            f" | {band} / {row.max_m:.3f} / {row.final_m:.3f} | {row.share_below:.0%} | {row.correlation:.2f}"
-            f" | {'yes' if row.as_in_the_report else 'no'} |"
-        )
+    for folder in folders:
+        metrics = json.loads((folder / "metrics.json").read_text(encoding="utf-8"))
+        for row in pd.read_csv(folder / "bands.csv").itertuples():
+            part = row.plot.split()[1]  # 3.3 is of another flight around
+            names = f"{part}-{row.sensor}.band.{row.method}.", f"{row.noise}-{row.sensor}.band.{row.plot}."
+            value = {k.rpartition(".")[2]: value for k, value in metrics.items() if k.startswith(names)}
+            numbers = (
+                "{report_mean_m:.3f} / {report_max_m:.3f} / {report_final_m:.3f} | {mean_m:.3f} ({mean_low_m:.3f} to "
+                "{mean_high_m:.3f}) / {max_m:.3f} / {final_m:.3f} | {share_below:.0%} | {correlation:.2f}"
+            ).format_map(value)
+            rows.append(f"| {row.plot} | {numbers} | {'yes' if row.as_in_the_report else 'no'} |")
     return rows
 
 
