@@ -14,7 +14,7 @@ from steelnb.odometry import correct
 from steelnb.planning import OnboardPilot
 from steelnb.points.calibration import calibrated
 from steelnb.settings import ExperimentSettings, OrbSettings, ReportCloudSettings
-from steelnb.settings.presets import members_file
+from steelnb.settings.presets import members_bytes
 from steelnb.settings.report_plots import STEP_S
 from steelnb.simulation import (
     FORWARD,
@@ -91,11 +91,10 @@ def simulate(settings: ExperimentSettings, on_progress: OnProgress | None = None
     return redrift(settings, unmoved, truth), truth
 
 
-def world(settings: ExperimentSettings) -> tuple[str, str | None]:
-    """All that a simulated flight depends on, as JSON, and the list of members. Equal values share one flight."""
+def world(settings: ExperimentSettings) -> tuple[str, bytes]:
+    """All that a simulated flight depends on, as JSON, and the file of its members. Equal values share one flight."""
     parts = {"tower", "flight", "tof", "imu", "seed"} if settings.flight.trajectory != "planned" else None
-    members = settings.tower.members
-    return settings.model_dump_json(include=parts), members and members_file(members).read_text(encoding="utf-8")
+    return settings.model_dump_json(include=parts), members_bytes(settings.tower.members)
 
 
 @checks_arguments

@@ -93,7 +93,7 @@ def _report_rows(folders: Sequence[Path]) -> list[str]:
     for folder in folders:
         metrics = json.loads((folder / "metrics.json").read_text(encoding="utf-8"))
         for row in pd.read_csv(folder / "bands.csv").itertuples():
-            part = row.plot.split()[1]  # 3.3 is of another flight around
+            part = row.plot.split()[1]  # metrics name 3.3's flight as the matrix does, `orbit`
             names = f"{part}-{row.sensor}.band.{row.method}.", f"{row.noise}-{row.sensor}.band.{row.plot}."
             value = {k.rpartition(".")[2]: value for k, value in metrics.items() if k.startswith(names)}
             numbers = (

@@ -195,8 +195,7 @@ def checked_poses(T_target_source: object, name: str, count: int) -> _Array:
 
 
 def _real(values: object, name: str, expected: str) -> _Array:
-    """An array of real numbers as contiguous float64; masked entries become NaN. Slices of larger arrays are copied,
-    since kernels would be compiled anew for them."""
+    """Real numbers as float64, contiguous, as kernels are compiled for; masked entries become NaN."""
     try:
         if isinstance(values, np.ma.MaskedArray) and not fields_of(values):
             values = np.ma.filled(values.astype(np.float64), np.nan)

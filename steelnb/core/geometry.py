@@ -62,8 +62,8 @@ def exp_about(centre: Array, xi: Array) -> Array:
 
 @njit(cache=True)
 def _write_rotation(x, y, z, motion):  # type: ignore[no-untyped-def]
-    """Write the rotation by a rotation vector to ``motion[:3, :3]``, by the formulas and to the bit of
-    `scipy.spatial.transform.Rotation`, whose call takes longer than all other algebra of a registration's step."""
+    """Write the matrix of a rotation vector to ``motion[:3, :3]``. Its formulas and its bits are those of
+    `scipy.spatial.transform.Rotation`, whose call took four fifths of the time of `exp_about`."""
     angle = math.sqrt(x * x + y * y + z * z)
     scale = 0.5 - angle**2 / 48 + angle**2 * angle**2 / 3840 if angle <= 1e-3 else math.sin(angle / 2) / angle
     x, y, z, w = scale * x, scale * y, scale * z, math.cos(angle / 2)

@@ -142,8 +142,8 @@ def _at_least(array: NDArray[Any], name: str, low: int, dtype: Any) -> NDArray[A
 
 def check_columns(instance: object, **columns: int) -> None:
     """Raise `InputError` unless fields are numbers of as many rows as the first field has: ``(M,)`` for 0 columns,
-    ``(M, 3)`` for 3. Values are not read, so that this takes a few microseconds. Slices of larger arrays are copied,
-    since kernels would be compiled anew for them."""
+    ``(M, 3)`` for 3. Values are not read, so that this takes a few microseconds. A slice of a larger array is copied:
+    kernels are compiled for contiguous arrays, and would be compiled again for a slice."""
     rows: Any = None
     for name, width in columns.items():
         array = getattr(instance, name)

@@ -84,8 +84,8 @@ def in_structures(
     is_structure = (count <= ALONE) | (np.bincount(number) >= EXPLAINED_MIN * around)
     at_surface, clear = np.zeros((len(bars), 2), dtype=bool), np.zeros(len(bars), dtype=bool)
     if len(surface):
-        grounds = cKDTree(surface, balanced_tree=False, compact_nodes=False)  # for few queries
-        at_surface = (grounds.query(np.stack([bars.start, bars.end]))[0] <= REACH_M / TUBE_M * tube_m).T
+        nearby = cKDTree(surface, balanced_tree=False, compact_nodes=False)  # as in `spacing`
+        at_surface = (nearby.query(np.stack([bars.start, bars.end]))[0] <= REACH_M / TUBE_M * tube_m).T
     is_held = np.asarray((at_surface | at_bars(bars, tube_m)).all(axis=1))
     doubtful = np.flatnonzero(~is_structure[own])
     every = cKDTree(points) if len(doubtful) else steel

@@ -91,7 +91,7 @@ def spacing(points: Array, neighbour: int = 1) -> float:
     """Median distance of at most `SAMPLE` of the points ``(N, 3)`` to their nearest neighbours, or to the second
     nearest, and so on; metres."""
     sample = points[np.linspace(0, len(points) - 1, min(len(points), SAMPLE)).astype(int)]
-    tree = cKDTree(points, leafsize=64, balanced_tree=False, compact_nodes=False)  # built three times as fast
+    tree = cKDTree(points, leafsize=64, balanced_tree=False, compact_nodes=False)  # fast to build, for few queries
     return float(np.median(tree.query(sample, k=[min(1 + neighbour, len(points))])[0][:, 0]))
 
 

@@ -10,7 +10,7 @@ import pandas as pd
 
 from steelnb import experiment
 from steelnb.settings import ExperimentSettings, LoamSettings, RegistrationSettings, ReportCloudSettings, TowerSettings
-from steelnb.settings.presets import TOWERS, members_file
+from steelnb.settings.presets import TOWERS, members_bytes
 
 CASE_COLUMNS = ("trajectory", "noise", "method", "sensor", "seed")
 """The columns of `case_of`."""
@@ -55,7 +55,7 @@ def tower_name(settings: ExperimentSettings) -> str:
     older list are told apart. Empty for a tower that is built from its dimensions."""
     if not (members := settings.tower.members):
         return ""
-    return f"{Path(members).stem} {hashlib.sha256(members_file(members).read_bytes()).hexdigest()[:8]}"
+    return f"{Path(members).stem} {hashlib.sha256(members_bytes(members)).hexdigest()[:8]}"
 
 
 def title(settings: ExperimentSettings, words: str = TITLE) -> str:

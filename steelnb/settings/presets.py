@@ -93,6 +93,16 @@ def members_file(members: str) -> Path:
     return path
 
 
+def members_bytes(members: str | None) -> bytes:
+    """The bytes of a list of members, by which two versions of a file are told apart; none without a list. Raises
+    `InputError`."""
+    if not members:
+        return b""
+    path = members_file(members)
+    with reading(path, "a list of members"):
+        return path.read_bytes()
+
+
 def method_preset(method: str, of_sensor: Mapping[str, dict[str, Any]]) -> dict[str, Any]:
     """The settings of a method, including the method that it is ``based_on``. ``of_sensor``: the sensor preset's
     additions, by method. Raises `InputError`."""

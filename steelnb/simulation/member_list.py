@@ -62,13 +62,6 @@ def leg_half_width(members: str, z: float) -> float:
     return float(max(x) - min(x)) / 2
 
 
-def list_bytes(members: str) -> bytes:
-    """The bytes of a list of members, by which two versions of a file are told apart. Raises `InputError`."""
-    path = members_file(members)
-    with reading(path, "a list of members"):
-        return path.read_bytes()
-
-
 def read_members(members: str) -> tuple[list[Kind], Array, Array, list[float | None]]:
     """Kinds and ends ``(M, 2, 3)`` of the members of a list, the triangles ``(P, 3, 3)`` of its plates, and the own
     widths of the members. The list is the name of a preset or a file ``FILE.csv``. Raises `InputError`."""

@@ -10,8 +10,9 @@ import numpy as np
 from steelnb.core.arguments import checks_arguments
 from steelnb.core.types import Array, IntArray
 from steelnb.settings import TowerSettings
+from steelnb.settings.presets import members_bytes
 from steelnb.settings.tower import Kind
-from steelnb.simulation.member_list import leg_half_width, list_bytes, listed_members
+from steelnb.simulation.member_list import leg_half_width, listed_members
 from steelnb.simulation.members import ON_PLATE, Member, make_member, mesh_members, unit
 
 
@@ -49,11 +50,11 @@ def build_tower(settings: TowerSettings | None = None) -> Tower:
     Equal settings share one tower, whose arrays are read-only. Raises `InputError`.
     """
     settings = settings or TowerSettings()
-    return _built(settings, list_bytes(settings.members) if settings.members else b"")
+    return _built(settings, members_bytes(settings.members))
 
 
 @lru_cache(maxsize=8)  # the report's tower takes half a second, and each flight asks for it
-def _built(settings: TowerSettings, _list_bytes: bytes) -> Tower:
+def _built(settings: TowerSettings, _members_bytes: bytes) -> Tower:
     if settings.members is None:
         joints, members = _tapered_members(settings)
         plates = np.zeros((0, 3, 3))
