@@ -6,17 +6,21 @@ import doctest
 import importlib
 import io
 import json
+import math
 import re
 import shlex
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 import trimesh
 
 from steelnb import cli
 from steelnb.io import read_flight, write_tum
 from steelnb.notebook.study import read_runs
+from steelnb.settings import TowerSettings
+from steelnb.simulation import build_tower
 from tests.lattice import lattice, scanned
 
 ROOT = Path(__file__).parents[1]
@@ -69,11 +73,28 @@ def here(tmp_path, monkeypatch):
     return tmp_path
 
 
+def authors_mesh() -> trimesh.Trimesh:
+    """A mesh in units and axes of the authors', of our own pole."""
+    pole = build_tower(TowerSettings.preset("report"))
+    mesh = trimesh.Trimesh(pole.vertices, pole.triangles, process=False)
+    mesh.apply_translation((0.04, 0.04, -0.07))
+    mesh.apply_transform(trimesh.transformations.rotation_matrix(-math.pi / 2, (1, 0, 0)))
+    return mesh.apply_scale(1 / 0.003)
+
+
 def test_the_start_and_the_report(here):
     names, said = follow("index.md")
     assert names["result"].metrics["ate_rmse_m"] < names["result"].metrics["raw_ate_rmse_m"]
     assert said.endswith("m corrected\n")
-    assert follow("report.md")[1] == "vertical random-walk report 202 scans\n"
+    authors_mesh().export("tower.stl")
+    names, said = follow("report.md")
+    assert said == "vertical random-walk report 202 scans\n"
+    pole = TowerSettings.preset("report")
+    listed, placed = build_tower(pole), build_tower(names["settings"].tower)
+    assert placed.settings.mesh == "pole.stl"
+    np.testing.assert_allclose(
+        np.sort(placed.vertices[:, 2])[[0, -1]], np.sort(listed.vertices[:, 2])[[0, -1]], atol=1e-3
+    )
 
 
 def test_a_recording_is_corrected_compared_and_reconstructed(here, capfd):

@@ -169,8 +169,9 @@ def _cells_of(line: str) -> list[str]:
 def _is_of_numbers(cells: list[str], before: list[str]) -> bool:
     """Whether these are the fields of a line of numbers, of which some may be labels or missing; a title may hold a
     year. ``before``: the line before, which may have as many names."""
-    missing = sum(cell in NOT_A_NUMBER for cell in cells)
-    numbers = _numbers_in(cells)
+    missing, numbers = sum(cell in NOT_A_NUMBER for cell in cells), _numbers_in(cells)
+    if sum(cell in NOT_A_NUMBER for cell in cells if cell) > 2:  # no names: a first scan may begin with invalid points
+        return True
     if len(cells) == len(before) and not _numbers_in(before) and not all(cell in UNIT_OF for cell in cells if cell):
         return numbers > 0 or 2 * missing > len(cells)
     return numbers > 2 or 2 * numbers > len(cells) - missing

@@ -10,7 +10,7 @@ import pandas as pd
 
 from steelnb import experiment
 from steelnb.settings import ExperimentSettings, LoamSettings, RegistrationSettings, ReportCloudSettings, TowerSettings
-from steelnb.settings.presets import TOWERS, members_bytes
+from steelnb.settings.presets import TOWERS, tower_bytes
 
 CASE_COLUMNS = ("trajectory", "noise", "method", "sensor", "seed")
 """The columns of `case_of`."""
@@ -52,10 +52,10 @@ def case_of(settings: ExperimentSettings) -> dict[str, Any]:
 
 def tower_name(settings: ExperimentSettings) -> str:
     """The list of members with the start of its SHA-256, such as ``report-tower 1a2b3c4d``, so that runs on an
-    older list are told apart. Empty for a tower that is built from its dimensions."""
+    older list, or on another mesh, are told apart. Empty for a tower that is built from its dimensions."""
     if not (members := settings.tower.members):
         return ""
-    return f"{Path(members).stem} {hashlib.sha256(members_bytes(members)).hexdigest()[:8]}"
+    return f"{Path(members).stem} {hashlib.sha256(tower_bytes(members, settings.tower.mesh)).hexdigest()[:8]}"
 
 
 def title(settings: ExperimentSettings, words: str = TITLE) -> str:

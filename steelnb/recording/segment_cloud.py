@@ -26,7 +26,7 @@ from steelnb.points.surfaces import Surface
 
 SURFACES_SHOWN = 5
 VOXELS_FEW = 10
-"""If voxels leave fewer points than this many bars need, the message blames the voxels."""
+"""If a cloud, or what voxels leave of it, has fewer points than this many bars need, the message blames that."""
 VOXELS_MAX = 12
 """Maximum radius of a tube, in voxels: the time of the search grows with its cube."""
 FLAT_M = 0.1
@@ -144,6 +144,8 @@ def _warnings(found: CloudBars, explained: float, cloud: Cloud, min_votes: int) 
             why = "all points lie on surfaces"
         elif found.apart:
             why = f"the {found.apart} lines look like parts of trees or vehicles: most points around them are on none"
+        elif len(cloud) < VOXELS_FEW * min_votes:
+            why = f"the cloud has only {len(cloud)} points, and a bar needs {min_votes} voxels along a line"
         elif left < VOXELS_FEW * min_votes:
             why = f"voxels of {found.voxel_m:.3g} m leave {left} of {len(cloud)} points, and a bar needs {min_votes}"
         elif not np.isnan(found.typical_m):

@@ -93,14 +93,16 @@ def members_file(members: str) -> Path:
     return path
 
 
-def members_bytes(members: str | None) -> bytes:
-    """The bytes of a list of members, by which two versions of a file are told apart; none without a list. Raises
-    `InputError`."""
-    if not members:
-        return b""
-    path = members_file(members)
-    with reading(path, "a list of members"):
-        return path.read_bytes()
+def tower_bytes(members: str | None, mesh: str | None) -> bytes:
+    """The bytes of a tower's list of members and of its mesh, by which two versions of a file are told apart; none
+    without them. Raises `InputError`."""
+    files = [(members_file(members), "a list of members")] if members else []
+    files += [(Path(mesh), "a mesh")] if mesh else []
+    data = b""
+    for path, form in files:
+        with reading(path, form):
+            data += path.read_bytes()
+    return data
 
 
 def method_preset(method: str, of_sensor: Mapping[str, dict[str, Any]]) -> dict[str, Any]:

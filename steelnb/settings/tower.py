@@ -28,6 +28,8 @@ class TowerSettings(Settings):
 
     ``members``: name of a CSV file of ``steelnb/settings/presets``, such as ``report-tower``, or ``FILE.csv``
     (`steelnb.simulation.member_list`). ``section``: angles, or round rods with the flange's width as diameter.
+    ``mesh``: an STL or PLY file of triangles, metres, world frame, which scans see and the drone touches in place of
+    the list's members and plates; the list stays the truth.
     ``profile_m``: height and width of the body on the ground, at its waist and at its top; ``arms_m``: height and reach
     of each arm; ``sections_m``: width and thickness of the flanges for each kind of member; those that are not given
     are `USUAL_SECTIONS`. The ground is a square plate at z = 0.
@@ -36,6 +38,7 @@ class TowerSettings(Settings):
     lists_as = tuple
 
     members: str | None = None
+    mesh: str | None = None
     section: Literal["angle", "round"] = "angle"
     profile_m: tuple[Level, Level, Level] = ((0.0, 4.0), (9.0, 1.7), (16.0, 1.0))
     arms_m: tuple[tuple[Positive, Positive], ...] = ((10.2, 3.2), (12.4, 3.8), (14.6, 2.8))
@@ -45,6 +48,8 @@ class TowerSettings(Settings):
     @model_validator(mode="after")
     def _fits(self) -> Self:
         fields = type(self).model_fields
+        if self.mesh is not None and self.members is None:
+            raise ValueError(f"mesh = {self.mesh!r}: expected members too, the list of the bars in it")
         for name in ("profile_m", "arms_m") if self.members is not None else ():
             if getattr(self, name) != fields[name].default:
                 raise ValueError(

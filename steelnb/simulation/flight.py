@@ -17,7 +17,7 @@ from steelnb.core.errors import CollisionError
 from steelnb.core.types import GRAVITY, Array, Imu, Trajectory
 from steelnb.settings import FlightSettings
 from steelnb.settings.report_plots import STEP_S
-from steelnb.simulation.mesh_lists import mesh_lists
+from steelnb.simulation.mesh_lists import mesh_lists, mesh_parts
 from steelnb.simulation.paths import heading, minimum_jerk, setpoints
 from steelnb.simulation.tower import Tower
 
@@ -153,10 +153,11 @@ def _make_world(pybullet, client: int, tower: Tower, start: list[float], yaw: fl
     shape, at = partial(pybullet.createCollisionShape, physicsClientId=client), {"physicsClientId": client}
     pybullet.setTimeStep(STEP_S, **at)
     pybullet.setGravity(0, 0, -GRAVITY, **at)
-    with mesh_lists(tower.vertices, tower.triangles) as mesh:
-        # Without this flag PyBullet collides with the convex hull of the tower.
-        solid = shape(pybullet.GEOM_MESH, flags=pybullet.GEOM_FORCE_CONCAVE_TRIMESH, **mesh)
-    pybullet.createMultiBody(0, solid, **at)
+    for part in mesh_parts(tower.vertices, tower.triangles):
+        with mesh_lists(*part) as mesh:
+            # Without this flag PyBullet collides with the convex hull of the tower.
+            solid = shape(pybullet.GEOM_MESH, flags=pybullet.GEOM_FORCE_CONCAVE_TRIMESH, **mesh)
+        pybullet.createMultiBody(0, solid, **at)
     pybullet.createMultiBody(0, shape(pybullet.GEOM_PLANE), **at)
     box = shape(pybullet.GEOM_BOX, halfExtents=HALF_BOX_M)
     body = pybullet.createMultiBody(MASS_KG, box, -1, start, pybullet.getQuaternionFromEuler((0, 0, yaw)), **at)

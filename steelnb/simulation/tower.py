@@ -2,18 +2,20 @@
 
 import itertools
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
+from pathlib import Path
 
 import numpy as np
 
 from steelnb.core.arguments import checks_arguments
 from steelnb.core.types import Array, IntArray
 from steelnb.settings import TowerSettings
-from steelnb.settings.presets import members_bytes
+from steelnb.settings.presets import tower_bytes
 from steelnb.settings.tower import Kind
 from steelnb.simulation.member_list import leg_half_width, listed_members
 from steelnb.simulation.members import ON_PLATE, Member, make_member, mesh_members, unit
+from steelnb.simulation.mesh_file import read_mesh
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,15 +48,16 @@ class Tower:
 def build_tower(settings: TowerSettings | None = None) -> Tower:
     """The tower of the settings (default: the preset ``tapered``), standing on z = 0 of the world frame, metres.
 
-    Arms extend along ±x. The mesh has a closed prism for each member; plates have no thickness. Nothing is random.
+    Arms extend along ±x. The mesh has a closed prism for each member, or is that of a file; plates have no thickness.
+    Nothing is random.
     Equal settings share one tower, whose arrays are read-only. Raises `InputError`.
     """
     settings = settings or TowerSettings()
-    return _built(settings, members_bytes(settings.members))
+    return _built(settings, tower_bytes(settings.members, settings.mesh))
 
 
 @lru_cache(maxsize=8)  # the report's tower takes half a second, and each flight asks for it
-def _built(settings: TowerSettings, _members_bytes: bytes) -> Tower:
+def _built(settings: TowerSettings, _bytes: bytes) -> Tower:
     if settings.members is None:
         joints, members = _tapered_members(settings)
         plates = np.zeros((0, 3, 3))
@@ -64,9 +67,13 @@ def _built(settings: TowerSettings, _members_bytes: bytes) -> Tower:
     triangles = np.concatenate([triangles, len(vertices) + np.arange(3 * len(plates)).reshape(-1, 3)])
     vertices = np.concatenate([vertices, plates.reshape(-1, 3)])
     owner = np.concatenate([owner, np.full(len(plates), ON_PLATE)])
+    tower = Tower(joints, tuple(members), vertices, triangles, owner, settings)
+    if settings.mesh is not None:
+        vertices, triangles, owner = read_mesh(Path(settings.mesh), tower.axes)
+        tower = replace(tower, vertices=vertices, triangles=triangles, triangle_member=owner)
     for array in (joints, vertices, triangles, owner):
         array.setflags(write=False)
-    return Tower(joints, tuple(members), vertices, triangles, owner, settings)
+    return tower
 
 
 def half_width(settings: TowerSettings, z: float) -> float:

@@ -92,6 +92,16 @@ def test_texts_of_other_points(tmp_path, content, expected):
     np.testing.assert_array_equal(read_points(tmp_path / "a.csv"), expected)
 
 
+@pytest.mark.parametrize(("sign", "point"), [(" ", "."), (",", "."), (";", "."), (";", ","), ("\t", ".")])
+def test_missing_numbers_in_the_first_line_are_no_names(tmp_path, sign, point):
+    missing = sign.join(["nan"] * 3) + "\n"
+    number = sign.join(["1.5", "2.5", "3.5"]).replace(".", point) + "\n"
+    (tmp_path / "a.txt").write_text(2 * missing + 3 * number)
+    read = read_points(tmp_path / "a.txt")
+    np.testing.assert_array_equal(np.isnan(read), [[True] * 3] * 2 + [[False] * 3] * 3)
+    np.testing.assert_array_equal(read[2:], [[1.5, 2.5, 3.5]] * 3)
+
+
 def test_missing_numbers_and_numbers_that_are_no_coordinates_are_no_returns(tmp_path):
     (tmp_path / "a.csv").write_text("x,y,z\n1,2,3\n,,\nnan,NaN,-nan\n1.#QNAN,-1.#IND,1.#INF\n3e38,1,2\n4,5,6\n7,8,9\n")
     valid = np.isfinite(read_points(tmp_path / "a.csv"))

@@ -155,6 +155,12 @@ def test_any_cloud_gets_an_answer(tmp_path: Path, shape: str) -> None:
         assert report.explained < 0.2
 
 
+def test_a_cloud_of_few_points_is_told_that_they_are_few(tmp_path: Path) -> None:
+    few = np.random.default_rng(1).uniform(0, 3, (10, 3))
+    report = segment_file(save_cloud(tmp_path / "few.csv", few), tmp_path / "found")
+    assert report.warnings == ("no bar found: the cloud has only 10 points, and a bar needs 8 voxels along a line",)
+
+
 def test_points_on_wide_bars_are_explained_where_the_tube_is_narrow(tmp_path: Path) -> None:
     rng = np.random.default_rng(8)
     poles = rods(rng, *(((x, 0, 0), (x, 0, 8)) for x in (0, 10, 20)), radius_m=0.15, per_m2=400)

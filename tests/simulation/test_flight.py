@@ -6,11 +6,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from steelnb.core import rng
-from steelnb.core.errors import CollisionError, InputError
+from steelnb.core.errors import CollisionError
 from steelnb.settings import FlightSettings, TowerSettings
 from steelnb.simulation import build_tower, fly
 from steelnb.simulation.flight import gusts
-from steelnb.simulation.mesh_lists import mesh_lists
 from steelnb.simulation.paths import path, setpoints
 from steelnb.simulation.tower import half_width
 
@@ -81,13 +80,6 @@ def test_the_path_goes_through_its_corners_slowly():
     assert max(nearest) < 0.3  # rounded corners
     assert np.linalg.norm(velocity, axis=1).max() < 1.02 * settings.speed_m_s
     np.testing.assert_allclose(position[-1], corner[-1], atol=1e-6)
-
-
-@pytest.mark.parametrize(("vertices", "triangles"), [(131_073, 1), (3, 174_763)])
-def test_a_mesh_that_is_too_large_to_fly_around_is_refused(vertices, triangles):
-    most, mesh = max(vertices, triangles) - 1, (np.zeros((vertices, 3)), np.zeros((triangles, 3), int))
-    with pytest.raises(InputError, match=f"tower: {most + 1} .*expected at most {most}"), mesh_lists(*mesh):
-        pass
 
 
 def test_memory_does_not_grow_with_the_number_of_flights_and_of_towers():
