@@ -32,7 +32,7 @@ $(READY): environment.lock pyproject.toml Makefile
 	@awk '/^[^ #]/ {half = !half} {print > ("$(VENV)/half-" half ".lock")}' environment.lock # two processes unpack twice as fast
 	printf '%s\n' 0 1 | xargs -P 2 -I @ $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile --no-deps --require-hashes -r $(VENV)/half-@.lock
 	@$(BIN)/python -m pip uninstall --quiet --yes rfc3987-syntax # if it is there, papermill compiles a grammar of IRIs for 2 s at each start
-	@$(BIN)/python -m compileall -q -j 0 $(VENV)/lib >/dev/null 2>&1 || true # pip would use one core; a few files of libraries are no Python 3
+	@$(BIN)/python -m compileall -q -j 0 -x '/tests?/' $(VENV)/lib >/dev/null 2>&1 || true # pip would use one core; a few files of libraries are no Python 3
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation -e .
 	@$(BIN)/python -m workflow kernels
 	@touch $@

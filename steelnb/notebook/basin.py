@@ -130,7 +130,7 @@ def _mapped(settings: ExperimentSettings, flight: Flight, true: Array, without: 
     for k in range(0, len(flight.scans), MAP_EVERY):
         if k != without:
             odometry.insert(_preprocessed(settings, flight, true, k), true[k])
-    odometry.map.link()  # once, not in each copy
+    odometry.map.index()  # once, not in each copy
     return odometry
 
 

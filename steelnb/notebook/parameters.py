@@ -2,6 +2,7 @@
 reader set them, and a run with others than the committed ones says so above its conclusions."""
 
 import ast
+import gc
 import itertools
 import json
 import subprocess
@@ -60,6 +61,7 @@ def validate() -> None:
     if str(folder):
         check_writable(folder)
         earlier_files(folder)
+    gc.freeze()  # what is imported by now stays, and the collector would look through it again and again
 
 
 def note() -> None:

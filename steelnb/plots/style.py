@@ -118,6 +118,11 @@ def use() -> None:
     warnings.filterwarnings("ignore", "The figure layout has changed to tight")  # seaborn's grids do so
     np.random.seed(0)  # noqa: NPY002 (of seaborn's dots)
     matplotlib.style.use(["default", LOOK])
+    if "inline" in (backend := matplotlib.get_backend()):
+        from matplotlib import pyplot
+
+        pyplot.switch_backend(backend)
+        pyplot.uninstall_repl_displayhook()  # it draws each figure of a cell, before the cell shows and draws it
 
 
 style = partial(matplotlib.style.context, ["default", LOOK])

@@ -85,11 +85,18 @@ class VoxelTarget:
         self.point, self.normal, self.covariance = voxels.means(copy=False), np.zeros((0, 3)), np.zeros((0, 6))
 
     def search(self, source: Array, limit_m: float) -> Search:
-        """Nearest means of source points ``(N, 3)`` within ``limit_m``: exact, but searched only when needed."""
+        """Nearest means of source points ``(N, 3)`` within ``limit_m``: exact, but searched only when needed; in the
+        map's tree, if it has one."""
         match, state = np.full(len(source), -1), SearchState.of(len(source))
+        tree = self.voxels.tree
+        in_tree = Target(tree).search(source, limit_m) if tree else None
+        slot_of = np.append(tree.order, -1) if tree else match
 
         def search(T: Array) -> IntArray:
-            self.voxels.correspond(source, T, limit_m, match, state)
+            if in_tree:
+                np.take(slot_of, in_tree(T), out=match, mode="wrap")  # the last for -1
+            else:
+                self.voxels.correspond(source, T, limit_m, match, state)
             if self.floor_m2 is not None:
                 self.covariance = self.voxels.shapes(match, self.floor_m2)
             return match

@@ -55,8 +55,9 @@ class RayScene(NamedTuple):
     member: IntArray
 
 
+@functools.lru_cache(maxsize=2)  # a second or more, and each flight of a notebook asks for it
 def make_scene(tower: Tower) -> RayScene:
-    """The scene of a tower on the ground at z = 0."""
+    """The scene of a tower on the ground at z = 0. Flights share that of the same tower."""
     open3d = import_open3d()
     ground = tower.settings.floor_half_m * np.array([(-1, -1, 0), (1, -1, 0), (1, 1, 0), (-1, 1, 0)])
     corner = np.concatenate([tower.vertices[tower.triangles], ground[[(0, 1, 2), (0, 2, 3)]]]).astype(np.float64)

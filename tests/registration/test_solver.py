@@ -1,3 +1,4 @@
+import copy
 import math
 from dataclasses import replace
 
@@ -7,10 +8,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
+from steelnb.points import VoxelMap
 from steelnb.points.covariances import neighbour_covariances, regularised
 from steelnb.registration import AlignOptions, Target, align, make_target, prior_term, register, solver
 from steelnb.registration import normal_equations as kernels
-from steelnb.registration.target import CACHED, correspond_points
+from steelnb.registration.target import CACHED, VoxelTarget, correspond_points
 from tests import naive
 from tests.registration.scenes import corner, motion, pose_error, transformed
 
@@ -172,3 +174,36 @@ def test_the_result_says_why_it_stopped_and_counts_the_inliers():
     result = register(source, corner(500, 1), "icp", max_correspondence_m=0.2)
     assert result.inliers == 450
     assert pose_error(result.T_target_source, np.eye(4))[0] < 1e-6
+
+
+@pytest.mark.parametrize("floor_m2", [None, 1e-4])
+def test_a_map_with_a_tree_has_the_pairs_and_covariances_of_one_without_until_it_grows(floor_m2):
+    rng = np.random.default_rng(5)
+    voxels = VoxelMap(0.1)
+    voxels.insert(rng.normal(size=(2000, 3)) * [1, 0.5, 0.2])
+    plain = copy.deepcopy(voxels)
+    voxels.index()
+    source, T = 2 * rng.normal(size=(300, 3)), np.eye(4)
+    both = [VoxelTarget(each, floor_m2) for each in (plain, voxels)]
+    searches = [target.search(source, 0.5) for target in both]
+    for _ in range(4):
+        T[:3, 3] += rng.normal(size=3) * 0.1
+        expected, found = (search(T) for search in searches)
+        assert {-1} < {*expected.tolist()}
+        np.testing.assert_array_equal(found, expected)
+        used = expected[expected >= 0]
+        if floor_m2:
+            np.testing.assert_array_equal(both[1].covariance[used], both[0].covariance[used])
+    more = rng.normal(size=(500, 3))
+    for each in (plain, voxels):
+        each.insert(more)
+    assert voxels.tree is None
+    expected, found = (VoxelTarget(each, floor_m2).search(source, 0.5)(T) for each in (plain, voxels))
+    np.testing.assert_array_equal(found, expected)
+
+
+def test_an_empty_map_has_no_tree():
+    voxels = VoxelMap(0.1)
+    voxels.index()
+    assert voxels.tree is None
+    assert (VoxelTarget(voxels).search(np.zeros((3, 3)), 0.5)(np.eye(4)) == -1).all()
