@@ -55,7 +55,7 @@ def write_results(
     temporary folder and then renamed; the `earlier_files` are removed. Raises `OutputError`, and ValueError if a metric
     is no number."""
     if not str(results_dir):
-        _show_in_a_row(figures)
+        _show_in_rows(figures)
         return
     flat = {name: number for name, value in metrics.items() if math.isfinite(number := _number(name, value))}
     with new_folder(results_dir, stale=[glob.escape(name) for name in earlier_files(results_dir)]) as folder:
@@ -94,15 +94,15 @@ def earlier_files(results_dir: str | Path) -> list[str]:
     return written
 
 
-def _show_in_a_row(figures: Mapping[str, "Figure"]) -> None:
-    """Show all figures side by side, since JupyterLab scrolls to the last cell after it has run all cells."""
+def _show_in_rows(figures: Mapping[str, "Figure"]) -> None:
+    """Show all figures, up to four in a row, since JupyterLab scrolls to the last cell after it has run all cells."""
     from IPython.core.pylabtools import print_figure
     from IPython.display import HTML, display
 
-    look = "min-width: 0; max-height: 24em; object-fit: contain"
+    look = "flex: 1 1 22%; min-width: 0; max-height: 24em; object-fit: contain"
     images = [print_figure(figure, base64=True) for figure in figures.values()]
     shown = "".join(f'<img style="{look}" src="data:image/png;base64,{image}">' for image in images)
-    display(HTML(f'<div style="display: flex; gap: 1em">{shown}</div>'))
+    display(HTML(f'<div style="display: flex; flex-wrap: wrap; gap: 1em">{shown}</div>'))
 
 
 def _number(name: str, value: Any) -> int | float:

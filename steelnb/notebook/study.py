@@ -30,7 +30,7 @@ from steelnb.notebook.runs import Flights, run_all
 from steelnb.notebook.tables import case_of, stage_times, tower_name
 from steelnb.settings import ExperimentSettings, Settings, TrajectoryName, read_tables
 from steelnb.settings.base import Duration, SeedOrReport, seeds_of
-from steelnb.settings.presets import SensorName
+from steelnb.settings.presets import NameOrPath
 from steelnb.simulation.calibration import measure_calibration
 
 RUN_COLUMNS = ("sensor", "duration_s", "trajectory", "seed", "noise", "variant", "method")
@@ -76,7 +76,7 @@ class Grid(Settings):
     seeds: Annotated[list[SeedOrReport], Field(min_length=1)]
     trajectories: Annotated[list[TrajectoryName], Field(min_length=1)]
     noises: Annotated[list[str], Field(min_length=1)]
-    sensors: Annotated[list[SensorName], Field(min_length=1)]
+    sensors: Annotated[list[NameOrPath], Field(min_length=1)]
     methods: Annotated[list[str], Field(min_length=1)]
     duration_s: Duration = 200.0
     variants: Annotated[dict[str, dict[str, Any]], Field(min_length=1)] = {"": {}}  # noqa: RUF012

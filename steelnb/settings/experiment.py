@@ -14,7 +14,7 @@ from steelnb.settings.base import OrNone, SeedOrReport, Settings
 from steelnb.settings.flight import REST_S, FlightSettings, TrajectoryName
 from steelnb.settings.noise import Noise
 from steelnb.settings.odometry import Family, OdometrySettings, OrbSettings, ReportCloudSettings, of_its_method
-from steelnb.settings.presets import SensorName
+from steelnb.settings.presets import NameOrPath
 from steelnb.settings.report_plots import STEP_S, ReportPlot
 from steelnb.settings.sensors import ImuSettings, TofSettings
 from steelnb.settings.tower import TowerSettings
@@ -32,7 +32,7 @@ class ExperimentSettings(Settings):
 
     of_preset = ("sensor",)
 
-    sensor: SensorName
+    sensor: NameOrPath
     noise_name: str
     seed: SeedOrReport
     tower: TowerSettings = TowerSettings()

@@ -43,18 +43,18 @@ def read_tables(path: Path, kind: type[S], expected: str) -> dict[str, S]:
     return found
 
 
-def sensor_name(sensor: Any) -> Any:
-    """The name of a sensor, which may be given as the path of its file."""
-    return os.fspath(sensor) if isinstance(sensor, os.PathLike) else sensor
+def name_or_path(given: Any) -> Any:
+    """The name of a preset, or of a file that may be given as its path."""
+    return os.fspath(given) if isinstance(given, os.PathLike) else given
 
 
-SensorName = Annotated[str, BeforeValidator(sensor_name)]
+NameOrPath = Annotated[str, BeforeValidator(name_or_path)]
 
 
 def sensor_preset(sensor: str | Path) -> dict[str, Any]:
     """The tables of a sensor's preset or of a file ``FILE.toml``, all of them checked. Missing values come from the
     preset that ``based_on`` names; ``imu = false`` is none. Raises `InputError`."""
-    sensor = sensor_name(sensor)
+    sensor = name_or_path(sensor)
     if isinstance(sensor, str) and sensor.endswith(".toml"):
         own = as_plain(read_toml(Path(sensor), "a sensor's preset"))
     elif isinstance(sensor, str) and sensor in SENSORS:

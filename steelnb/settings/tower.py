@@ -7,7 +7,7 @@ from pydantic import AfterValidator, BeforeValidator, model_validator
 
 from steelnb.settings.base import FrozenDict, NotNegative, Positive, Settings
 from steelnb.settings.flight import TrajectoryName
-from steelnb.settings.presets import preset_table
+from steelnb.settings.presets import NameOrPath, preset_table
 
 Level = tuple[NotNegative, Positive]
 Kind = Literal["leg", "ring", "bracing", "arm", "secondary"]
@@ -37,8 +37,8 @@ class TowerSettings(Settings):
 
     lists_as = tuple
 
-    members: str | None = None
-    mesh: str | None = None
+    members: NameOrPath | None = None
+    mesh: NameOrPath | None = None
     section: Literal["angle", "round"] = "angle"
     profile_m: tuple[Level, Level, Level] = ((0.0, 4.0), (9.0, 1.7), (16.0, 1.0))
     arms_m: tuple[tuple[Positive, Positive], ...] = ((10.2, 3.2), (12.4, 3.8), (14.6, 2.8))

@@ -18,31 +18,31 @@ APART_MAX = 0.25
 """The boxes of mesh and members may differ by this share of their diagonal: railings stand out, other units do not."""
 
 
-def read_mesh(path: Path, axes: Array) -> tuple[Array, IntArray, IntArray]:
+def read_mesh(path: str, axes: Array) -> tuple[Array, IntArray, IntArray]:
     """Vertices ``(V, 3)`` and triangles ``(T, 3)`` of an STL or PLY file, in metres and the world frame, and the member
     of each triangle ``(T,)``, or `ON_PLATE`. ``axes (M, 2, 3)``: the members.
 
     Triangles lower than `TOUCH_M` are left out, since those beside them reach as far. Raises `InputError`.
     """
     form = "an STL or PLY file of triangles"
-    if path.suffix.lower() not in (".stl", ".ply"):
-        raise InputError(f"tower.mesh = {str(path)!r}: expected FILE.stl or FILE.ply")
+    if Path(path).suffix.lower() not in (".stl", ".ply"):
+        raise InputError(f"tower.mesh = {path!r}: expected FILE.stl or FILE.ply")
     with reading(path, form):
         import trimesh
 
         mesh = trimesh.load_mesh(path, process=False)
         corner = np.asarray(mesh.vertices, np.float64)[np.asarray(mesh.faces, np.int64).reshape(-1, 3)]
-    if not 0 < len(corner) <= TRIANGLES_MAX:
-        raise InputError(f"{path}: {len(corner)} triangles; expected {form}, at most {TRIANGLES_MAX}")
     if not np.isfinite(corner).all():
         raise InputError(f"{path}: corners that are not finite; expected {form}")
-    _check_place(path, corner.reshape(-1, 3), axes.reshape(-1, 3))
     corner = corner[_height(corner) > TOUCH_M]
+    if not 0 < len(corner) <= TRIANGLES_MAX:
+        raise InputError(f"{path}: {len(corner)} triangles; expected {form}, at most {TRIANGLES_MAX}")
+    _check_place(path, corner.reshape(-1, 3), axes.reshape(-1, 3))
     vertices, triangles = np.unique(corner.reshape(-1, 3), axis=0, return_inverse=True)
     return vertices, triangles.reshape(-1, 3), _owners(corner.mean(axis=1), axes)
 
 
-def _check_place(path: Path, corner: Array, ends: Array) -> None:
+def _check_place(path: str, corner: Array, ends: Array) -> None:
     """Raise `InputError` unless a mesh of corners ``(N, 3)`` is where the members are, which have ``ends (M, 3)``."""
     box, expected = (np.array([points.min(axis=0), points.max(axis=0)]) for points in (corner, ends))
     if np.abs(box - expected).max() > APART_MAX * np.linalg.norm(expected[1] - expected[0]):

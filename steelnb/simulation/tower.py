@@ -4,7 +4,6 @@ import itertools
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from pathlib import Path
 
 import numpy as np
 
@@ -69,7 +68,7 @@ def _built(settings: TowerSettings, _bytes: bytes) -> Tower:
     owner = np.concatenate([owner, np.full(len(plates), ON_PLATE)])
     tower = Tower(joints, tuple(members), vertices, triangles, owner, settings)
     if settings.mesh is not None:
-        vertices, triangles, owner = read_mesh(Path(settings.mesh), tower.axes)
+        vertices, triangles, owner = read_mesh(settings.mesh, tower.axes)
         tower = replace(tower, vertices=vertices, triangles=triangles, triangle_member=owner)
     for array in (joints, vertices, triangles, owner):
         array.setflags(write=False)

@@ -36,7 +36,7 @@ def saved(tmp_path_factory):
 
 @pytest.mark.parametrize("name", ["pole.stl", "text.stl", "pole.ply"])
 def test_scans_see_a_file_of_the_list_s_own_mesh_as_the_list(saved, name):
-    tower = build_tower(REPORT.replace(mesh=str(saved / name)))
+    tower = build_tower(REPORT.replace(mesh=saved / name))
     ray = rays(CAMERA)
     expected, member = cast_rays(make_scene(LISTED), POSES, ray)
     seen, owner = cast_rays(make_scene(tower), POSES, ray)
@@ -119,5 +119,12 @@ def test_meshes_that_cannot_be_the_tower_are_refused(tmp_path):
     turned.apply_transform(trimesh.transformations.rotation_matrix(-np.pi / 2, (1, 0, 0)))
     turned.export(tmp_path / "y_up.stl")
     refused("y_up.stl", "expected a mesh in metres, world frame, z up")
+    flat = trimesh.Trimesh(LISTED.vertices, np.repeat(LISTED.triangles[:, :1], 3, axis=1), process=False)
+    flat.export(tmp_path / "flat.stl")
+    refused("flat.stl", "flat.stl: 0 triangles; expected an STL or PLY file of triangles")
+    broken = bytearray(whole)
+    broken[96:100] = b"\xff\xff\xff\x7f"  # NaN
+    (tmp_path / "nan.stl").write_bytes(broken)
+    refused("nan.stl", "corners that are not finite")
     with pytest.raises(InputError, match=r"mesh = 'pole\.stl': expected members too, the list of the bars in it"):
         TowerSettings(mesh="pole.stl")
