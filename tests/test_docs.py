@@ -49,7 +49,7 @@ def follow(page: str) -> tuple[dict, str]:
         if language == "sh":
             for line in block.splitlines():
                 run(shlex.split(line))
-        elif saved and Path(saved).suffix in (".toml", ".py"):
+        elif saved and (Path(saved).suffix in (".toml", ".py") or language == "csv"):
             Path(saved).write_text(python if language == "python" else block, encoding="utf-8")
     return names, said.getvalue()
 
@@ -108,6 +108,7 @@ def test_settings_and_a_sensor_are_those_of_the_page(here):
     names, said = follow("settings.md")
     assert said.startswith("10.0 5.0\n")
     assert names["odometry"].settings.preprocess.floor_m == -10.0
+    assert len(build_tower(names["mast"].tower).members) == 5
     assert names["result"].settings.tof.columns == 120
     assert names["result"].metrics["ate_rmse_m"] < names["result"].metrics["raw_ate_rmse_m"]
     assert names["settings"].inertial.gyro_noise == 1.4e-4
