@@ -14,7 +14,6 @@ from steelnb.odometry import correct
 from steelnb.planning import OnboardPilot
 from steelnb.points.calibration import calibrated
 from steelnb.settings import ExperimentSettings, OrbSettings, ReportCloudSettings
-from steelnb.settings.presets import tower_bytes
 from steelnb.settings.report_plots import STEP_S
 from steelnb.simulation import (
     FORWARD,
@@ -94,7 +93,7 @@ def simulate(settings: ExperimentSettings, on_progress: OnProgress | None = None
 def world(settings: ExperimentSettings) -> tuple[str, bytes]:
     """All that a simulated flight depends on, as JSON, and the files of its tower. Equal values share one flight."""
     parts = {"tower", "flight", "tof", "imu", "seed"} if settings.flight.trajectory != "planned" else None
-    return settings.model_dump_json(include=parts), tower_bytes(settings.tower.members, settings.tower.mesh)
+    return settings.model_dump_json(include=parts), settings.tower.file_bytes()
 
 
 @checks_arguments

@@ -4,6 +4,7 @@ import itertools
 from dataclasses import replace
 
 import numpy as np
+import trimesh
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
@@ -148,3 +149,8 @@ def build_tubes(axes: np.ndarray, radius_m: float, sides: int = 48) -> Tower:
     triangles = np.concatenate([wall + 2 * sides * k for k in range(len(axes))])
     owner = np.repeat(np.arange(len(axes)), len(wall))
     return Tower(axes.reshape(-1, 3), tuple(members), np.concatenate(vertices), triangles, owner, TowerSettings())
+
+
+def mesh_of(tower: Tower) -> trimesh.Trimesh:
+    """A tower's triangles, to save them as a file."""
+    return trimesh.Trimesh(tower.vertices, tower.triangles, process=False)

@@ -12,7 +12,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
 from steelnb.core.kernels import njit
-from steelnb.core.types import Array
+from steelnb.core.types import Array, IntArray
 
 UPRIGHT_DOF, POSE_DOF = 4, 6
 """Degrees of freedom of a pose whose roll and pitch are known (yaw, x, y, z), and of a free pose."""
@@ -139,3 +139,12 @@ def interpolated_poses(stamp_s: Array, T: Array, at_s: Array) -> Array:
     for axis in range(3):
         result[:, axis, 3] = np.interp(inside, stamp_s, T[:, axis, 3])
     return result.reshape(*np.shape(at_s), 4, 4)
+
+
+def points_along(start: Array, end: Array, spacing_m: float) -> tuple[Array, IntArray]:
+    """Points ``(N, 3)`` about ``spacing_m`` apart on segments from ``start (M, 3)`` to ``end (M, 3)``, ends included,
+    and the segment of each point ``(N,)``."""
+    count = [max(2, int(length / spacing_m) + 1) for length in np.linalg.norm(end - start, axis=1)]
+    share = [np.linspace(0, 1, each)[:, None] for each in count]
+    points = [a + each * (b - a) for a, b, each in zip(start, end, share, strict=True)]
+    return np.concatenate([np.zeros((0, 3)), *points]), np.repeat(np.arange(len(count)), count)

@@ -60,6 +60,7 @@ def find_basin(
     """
     true = truth.trajectory.at(flight.prior.stamp_s).T_world_drone
     odometry = _mapped(settings, flight, true, without=frame)
+    odometry.map.index()  # once, not in each copy
     ends, used = [], []
     for k, offset in enumerate(offset_m):
         start = true[frame].copy()
@@ -130,7 +131,6 @@ def _mapped(settings: ExperimentSettings, flight: Flight, true: Array, without: 
     for k in range(0, len(flight.scans), MAP_EVERY):
         if k != without:
             odometry.insert(_preprocessed(settings, flight, true, k), true[k])
-    odometry.map.index()  # once, not in each copy
     return odometry
 
 

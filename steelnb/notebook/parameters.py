@@ -61,7 +61,8 @@ def validate() -> None:
     if str(folder):
         check_writable(folder)
         earlier_files(folder)
-    gc.freeze()  # what is imported by now stays, and the collector would look through it again and again
+    if not gc.get_freeze_count():  # not in a second run, which would keep the first one's results for good
+        gc.freeze()  # the collector would look through all that is imported, again and again
 
 
 def note() -> None:

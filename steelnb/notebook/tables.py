@@ -10,7 +10,7 @@ import pandas as pd
 
 from steelnb import experiment
 from steelnb.settings import ExperimentSettings, LoamSettings, RegistrationSettings, ReportCloudSettings, TowerSettings
-from steelnb.settings.presets import TOWERS, tower_bytes
+from steelnb.settings.presets import TOWERS
 
 CASE_COLUMNS = ("trajectory", "noise", "method", "sensor", "seed")
 """The columns of `case_of`."""
@@ -55,7 +55,7 @@ def tower_name(settings: ExperimentSettings) -> str:
     older list, or on another mesh, are told apart. Empty for a tower that is built from its dimensions."""
     if not (members := settings.tower.members):
         return ""
-    return f"{Path(members).stem} {hashlib.sha256(tower_bytes(members, settings.tower.mesh)).hexdigest()[:8]}"
+    return f"{Path(members).stem} {hashlib.sha256(settings.tower.file_bytes()).hexdigest()[:8]}"
 
 
 def title(settings: ExperimentSettings, words: str = TITLE) -> str:

@@ -9,6 +9,7 @@ import numpy as np
 from steelnb.core.checks import checked_cloud, checked_kind, checked_pose
 from steelnb.core.errors import InputError
 from steelnb.core.estimates import OdometryStep
+from steelnb.core.geometry import points_along
 from steelnb.core.types import Array, Scan, Segments
 from steelnb.settings import OdometrySettings
 
@@ -95,12 +96,9 @@ class BaseOdometry(ABC):
         return None
 
     def map_points(self) -> Array:
-        """The map as points ``(N, 3)``, world frame: by default, points along its bars, at most `SPACING_M` apart."""
-        bars, pieces = self.map_segments(), [np.zeros((0, 3))]
-        for start, end, length in zip(bars.start, bars.end, bars.length, strict=True):
-            share = np.linspace(0, 1, max(2, int(length / SPACING_M) + 1))
-            pieces.append(start + share[:, None] * (end - start))
-        return np.concatenate(pieces)
+        """The map as points ``(N, 3)``, world frame: by default, points along its bars, about `SPACING_M` apart."""
+        bars = self.map_segments()
+        return points_along(bars.start, bars.end, SPACING_M)[0]
 
     def map_segments(self) -> Segments:
         """The bars of the map; none by default."""

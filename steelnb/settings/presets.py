@@ -93,18 +93,6 @@ def members_file(members: str) -> Path:
     return path
 
 
-def tower_bytes(members: str | None, mesh: str | None) -> bytes:
-    """The bytes of a tower's list of members and of its mesh, by which two versions of a file are told apart; none
-    without them. Raises `InputError`."""
-    files = [(members_file(members), "a list of members")] if members else []
-    files += [(Path(mesh), "a mesh")] if mesh else []
-    data = b""
-    for path, form in files:
-        with reading(path, form):
-            data += path.read_bytes()
-    return data
-
-
 def method_preset(method: str, of_sensor: Mapping[str, dict[str, Any]]) -> dict[str, Any]:
     """The settings of a method, including the method that it is ``based_on``. ``of_sensor``: the sensor preset's
     additions, by method. Raises `InputError`."""

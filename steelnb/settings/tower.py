@@ -1,13 +1,15 @@
 """Settings of the simulated tower. Lengths in metres."""
 
 import itertools
+from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import AfterValidator, BeforeValidator, model_validator
 
+from steelnb.core.files import reading
 from steelnb.settings.base import FrozenDict, NotNegative, Positive, Settings
 from steelnb.settings.flight import TrajectoryName
-from steelnb.settings.presets import NameOrPath, preset_table
+from steelnb.settings.presets import NameOrPath, members_file, preset_table
 
 Level = tuple[NotNegative, Positive]
 Kind = Literal["leg", "ring", "bracing", "arm", "secondary"]
@@ -77,6 +79,17 @@ class TowerSettings(Settings):
     def floor_half_m(self) -> float:
         """Half the side of the ground: the report's plate for a list of members, else practically unlimited."""
         return 60.0 if self.members is None else 3.0
+
+    def file_bytes(self) -> bytes:
+        """The bytes of the list of members and of the mesh, by which two versions of a file are told apart; none
+        without them. Raises `InputError`."""
+        files = [(members_file(self.members), "a list of members")] if self.members else []
+        files += [(Path(self.mesh), "a mesh")] if self.mesh else []
+        data = b""
+        for path, form in files:
+            with reading(path, form):
+                data += path.read_bytes()
+        return data
 
     @classmethod
     def preset(cls, tower: str = "tapered") -> "TowerSettings":

@@ -7,6 +7,7 @@ from scipy.spatial import cKDTree
 
 from steelnb.core.errors import InputError
 from steelnb.core.files import reading
+from steelnb.core.geometry import points_along
 from steelnb.core.types import Array, IntArray
 from steelnb.simulation.members import ON_PLATE
 from steelnb.simulation.triangles import TOUCH_M
@@ -22,7 +23,8 @@ def read_mesh(path: str, axes: Array) -> tuple[Array, IntArray, IntArray]:
     """Vertices ``(V, 3)`` and triangles ``(T, 3)`` of an STL or PLY file, in metres and the world frame, and the member
     of each triangle ``(T,)``, or `ON_PLATE`. ``axes (M, 2, 3)``: the members.
 
-    Triangles lower than `TOUCH_M` are left out, since those beside them reach as far. Raises `InputError`.
+    Slivers lower than `TOUCH_M` are dropped: rays there hit the triangles beside them, which are that tolerant. Raises
+    `InputError`.
     """
     form = "an STL or PLY file of triangles"
     if Path(path).suffix.lower() not in (".stl", ".ply"):
@@ -62,9 +64,6 @@ def _height(corner: Array) -> Array:
 
 def _owners(middle: Array, axes: Array) -> IntArray:
     """The member near each of the points ``(T, 3)``, or `ON_PLATE`."""
-    length = np.linalg.norm(axes[:, 1] - axes[:, 0], axis=1)
-    shares = [np.linspace(0, 1, int(np.ceil(each / STEP_M)) + 1)[:, None] for each in length]
-    points = np.concatenate([start + share * (end - start) for share, (start, end) in zip(shares, axes, strict=True)])
+    points, member = points_along(axes[:, 0], axes[:, 1], STEP_M)
     distance, nearest = cKDTree(points).query(middle)
-    owner = np.repeat(np.arange(len(axes)), [len(share) for share in shares])[nearest]
-    return np.where(distance <= NEAR_M, owner, ON_PLATE)
+    return np.where(distance <= NEAR_M, member[nearest], ON_PLATE)

@@ -10,7 +10,6 @@ import numpy as np
 from steelnb.core.arguments import checks_arguments
 from steelnb.core.types import Array, IntArray
 from steelnb.settings import TowerSettings
-from steelnb.settings.presets import tower_bytes
 from steelnb.settings.tower import Kind
 from steelnb.simulation.member_list import leg_half_width, listed_members
 from steelnb.simulation.members import ON_PLATE, Member, make_member, mesh_members, unit
@@ -48,15 +47,14 @@ def build_tower(settings: TowerSettings | None = None) -> Tower:
     """The tower of the settings (default: the preset ``tapered``), standing on z = 0 of the world frame, metres.
 
     Arms extend along ±x. The mesh has a closed prism for each member, or is that of a file; plates have no thickness.
-    Nothing is random.
-    Equal settings share one tower, whose arrays are read-only. Raises `InputError`.
+    Nothing is random. Equal settings share one tower, whose arrays are read-only. Raises `InputError`.
     """
     settings = settings or TowerSettings()
-    return _built(settings, tower_bytes(settings.members, settings.mesh))
+    return _built(settings, settings.file_bytes())
 
 
 @lru_cache(maxsize=8)  # the report's tower takes half a second, and each flight asks for it
-def _built(settings: TowerSettings, _bytes: bytes) -> Tower:
+def _built(settings: TowerSettings, _file_bytes: bytes) -> Tower:
     if settings.members is None:
         joints, members = _tapered_members(settings)
         plates = np.zeros((0, 3, 3))

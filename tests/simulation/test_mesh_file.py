@@ -12,6 +12,7 @@ from steelnb.simulation import Camera, build_tower, fly, mesh_lists
 from steelnb.simulation.camera import SAMPLES
 from steelnb.simulation.members import ON_PLATE
 from steelnb.simulation.raycasting import cast_rays, make_scene, rays
+from tests.lattice import mesh_of
 
 REPORT = TowerSettings.preset("report")
 LISTED = build_tower(REPORT)
@@ -20,14 +21,10 @@ POSES = np.tile(np.eye(4), (3, 1, 1))
 POSES[:, :3, 3] = (-3.0, 0.3, 1.0), (-2.5, -0.4, 6.0), (-3.0, 0.2, 13.0)
 
 
-def own_mesh() -> trimesh.Trimesh:
-    return trimesh.Trimesh(LISTED.vertices, LISTED.triangles, process=False)
-
-
 @pytest.fixture(scope="module")
 def saved(tmp_path_factory):
     folder = tmp_path_factory.mktemp("mesh")
-    mesh = own_mesh()
+    mesh = mesh_of(LISTED)
     mesh.export(folder / "pole.stl")
     mesh.export(folder / "pole.ply")
     (folder / "text.stl").write_text(trimesh.exchange.stl.export_stl_ascii(mesh))
@@ -51,7 +48,7 @@ def test_scans_see_a_file_of_the_list_s_own_mesh_as_the_list(saved, name):
 def test_what_belongs_to_no_member_is_a_plate_and_slivers_are_left_out(tmp_path):
     wall = trimesh.creation.box((0.2, 3.0, 2.0), trimesh.transformations.translation_matrix((3.0, 0, 1.0)))
     sliver = trimesh.Trimesh([(0, 0, 1), (1, 0, 1), (0.5, 1e-6, 1)], [(0, 1, 2)], process=False)
-    trimesh.util.concatenate([own_mesh(), wall, sliver]).export(tmp_path / "a.stl")
+    trimesh.util.concatenate([mesh_of(LISTED), wall, sliver]).export(tmp_path / "a.stl")
     tower = build_tower(REPORT.replace(mesh=str(tmp_path / "a.stl")))
     assert len(tower.triangles) == len(LISTED.triangles) + 12
     assert (tower.triangle_member[-12:] == ON_PLATE).all()
@@ -80,10 +77,10 @@ def test_a_mesh_larger_than_pybullet_holds_is_touched_in_all_its_parts(saved, mo
 
 def test_a_changed_file_is_another_tower(tmp_path):
     settings = REPORT.replace(mesh=str(tmp_path / "a.stl"))
-    own_mesh().export(tmp_path / "a.stl")
+    mesh_of(LISTED).export(tmp_path / "a.stl")
     first = build_tower(settings)
     assert build_tower(settings) is first
-    mesh = own_mesh()
+    mesh = mesh_of(LISTED)
     mesh.apply_translation((0.1, 0, 0))
     mesh.export(tmp_path / "a.stl")
     np.testing.assert_allclose(
@@ -96,7 +93,7 @@ def test_meshes_that_cannot_be_the_tower_are_refused(tmp_path):
         with pytest.raises(InputError, match=message):
             build_tower(REPORT.replace(mesh=str(tmp_path / name)))
 
-    mesh = own_mesh()
+    mesh = mesh_of(LISTED)
     whole = trimesh.exchange.stl.export_stl(mesh)
     (tmp_path / "half.stl").write_bytes(whole[: len(whole) // 2])
     (tmp_path / "empty.stl").write_bytes(b"")
@@ -115,7 +112,7 @@ def test_meshes_that_cannot_be_the_tower_are_refused(tmp_path):
     refused(
         "mm.stl", r"mm.stl: from \(-3\d{3}.* the members are from \(-3.* expected a mesh in metres, world frame, z up"
     )
-    turned = own_mesh()
+    turned = mesh_of(LISTED)
     turned.apply_transform(trimesh.transformations.rotation_matrix(-np.pi / 2, (1, 0, 0)))
     turned.export(tmp_path / "y_up.stl")
     refused("y_up.stl", "expected a mesh in metres, world frame, z up")
