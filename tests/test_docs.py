@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
+from pygments.lexers import get_lexer_by_name
 
 from steelnb import cli
 from steelnb.io import read_flight, write_tum
@@ -49,7 +50,7 @@ def follow(page: str) -> tuple[dict, str]:
         if language == "sh":
             for line in block.splitlines():
                 run(shlex.split(line))
-        elif saved and (Path(saved).suffix in (".toml", ".py") or language == "csv"):
+        elif saved and (Path(saved).suffix in (".toml", ".py") or language == "text"):
             Path(saved).write_text(python if language == "python" else block, encoding="utf-8")
     return names, said.getvalue()
 
@@ -135,6 +136,12 @@ def test_commands_that_a_page_names_exist(page):
     assert {target for target in re.findall(r"`make (\w+)", text)} <= set(targets)
     known = {command.callback.__name__ for command in cli.app.registered_commands}
     assert set(re.findall(r"^`?steelnb (\w+)", text, re.MULTILINE)) <= known
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_the_pages_can_colour_their_blocks(page):
+    for _, language, _ in FENCE.findall((DOCS / page).read_text(encoding="utf-8")):
+        get_lexer_by_name(language)  # raises for a name that Sphinx would warn of
 
 
 @pytest.mark.parametrize("module", WITH_EXAMPLES)
