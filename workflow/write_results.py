@@ -75,7 +75,10 @@ def write_overview(root: Path, folder: Path) -> None:
     for id, each in read_experiments(root).items():
         if (folder / id / "metrics.json").is_file():
             figures = [path.stem for path in sorted((folder / id).glob("*.png"))]
-            shown = " ".join(f'<img src="{id}/{name}.png" width="240" alt="{name}">' for name in figures)
+            shown = " ".join(
+                f'<img src="{id}/{name}.png" width="240" alt="{each.title}: {name.removeprefix("fig_")}">'
+                for name in figures
+            )
             title = f"**{each.title}.** {each.about}" + f" The report's figures: {each.figures}." * bool(each.figures)
             notebook = f"[{each.notebook[:2]}](../notebooks/{each.notebook})"
             rows.append(f"| {title} | {notebook} | {shown} | [metrics]({id}/metrics.json), [table]({id}/table.csv) |")

@@ -151,7 +151,7 @@ def figure_basin(basins: pd.DataFrame) -> Figure:
     for name in refused.index[refused]:
         panel = grid.axes_dict[name]
         panel.text(0.5, 0.5, "all refused", ha="center", va="center", transform=panel.transAxes)
-    labels = {"xlabel": "start off along x (m)", "ylabel": "start off along z (m)"}
+    labels = {"xlabel": "start offset along x (m)", "ylabel": "start offset along z (m)"}
     grid.set(aspect="equal", **labels).set_titles("{col_name}")
     gather_bar(grid.figure, "error at the end (m)", 1)
     return grid.figure

@@ -13,6 +13,7 @@ from steelnb.core.errors import InputError
 from steelnb.core.types import Array
 from steelnb.metrics import WRONG_SHARE
 from steelnb.notebook.study import RUN_COLUMNS
+from steelnb.plots import LABELS
 from steelnb.settings import Settings, read_tables
 from steelnb.settings.report_plots import SENSOR_STEPS, STEP_S
 
@@ -41,7 +42,7 @@ WORDS = {
     "turned_mean_deg": "mean rotation", "turned_final_deg": "final rotation", "scan_s": "time for a scan",
     "scan_missed": "share of scans after which one was missed", "frame_median_ms": "time for a scan",
     "f1": "F1 score", "recall": "recall", "precision": "precision", "offset_m": "median distance to the true axis",
-    "right": "share of scans that end at their true pose",
+    "right": "share of scans that end at their true pose", "raw_ate_rmse_m": "root mean square drift",
 }  # fmt: skip
 """What tables and figures call the metrics."""
 COLUMNS = [
@@ -96,10 +97,22 @@ class Claim(Settings):
 
     @property
     def measure(self) -> str:
-        """The metric in `WORDS`, form and unit, ``mean error, difference in m``; a ratio or correlation has no unit."""
-        unit = next((unit for ending, unit in UNITS.items() if self.metric.endswith(ending)), "")
-        text = WORDS.get(self.metric, self.metric) + ("" if self.form == "level" else f", {self.form}")
-        return text + (f" in {unit}" if unit and self.form in ("level", "difference") else "")
+        """The metric in `WORDS`, both sides and the unit, ``mean error, GICP − ICP (m)``; a ratio or correlation has no
+        unit."""
+        word, other = (WORDS.get(name, name) for name in (self.metric, str(self.b.get("metric"))))
+        unit = next((f" ({unit})" for ending, unit in UNITS.items() if self.metric.endswith(ending)), "")
+        if self.form == "level":
+            return word + unit
+        if self.form == "correlation":
+            return f"{word}, rank correlation with {other}"
+        sign = " − " if self.form == "difference" else " / "
+        text = word + sign + other if "metric" in self.b else f"{word}, {sign.join(map(self._named, (self.a, self.b)))}"
+        return text + (unit if self.form == "difference" else "")
+
+    def _named(self, side: Chosen) -> str:
+        """The value that tells this side from the other; ``each`` if the cells name it."""
+        value = {**USUAL, **self.where, **side}[next(iter(self.b))]
+        return "each" if isinstance(value, list) else LABELS.get(str(value), str(value)) or "as preset"
 
 
 def read_claims(path: Path) -> dict[str, Claim]:

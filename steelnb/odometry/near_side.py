@@ -15,8 +15,7 @@ import numpy as np
 
 from steelnb.core.kernels import njit
 from steelnb.core.types import Array
-from steelnb.odometry.loam.features import STEP_M
-from steelnb.points.ranges import ranges_ahead
+from steelnb.points.ranges import STEP_M, ranges_ahead
 
 SHARE_OF_WIDTH = 0.10
 WIDTH_MAX_M = 0.4

@@ -16,7 +16,7 @@ WIDE = 100.0
 """Ratio of values above which `forest` uses a logarithmic scale."""
 
 
-def some(runs: pd.DataFrame, methods: Iterable[str]) -> pd.DataFrame:
+def require_runs(runs: pd.DataFrame, methods: Iterable[str]) -> pd.DataFrame:
     """The same runs, which were chosen from a study. Raises `InputError` if there are none."""
     if runs.empty:
         raise InputError(f"no run of {', '.join(methods)} is left to draw: expected other methods, noises or studies")
@@ -32,7 +32,7 @@ def error_dots(runs: pd.DataFrame, case: str, methods: Sequence[str], **facets: 
     `InputError`.
     """
     if "col_order" not in facets:
-        some(runs, methods)
+        require_runs(runs, methods)
     if runs.empty:
         grid = sns.FacetGrid(runs, **facets)
         for panel in grid.axes.flat:
@@ -78,9 +78,9 @@ def forest(cells: pd.DataFrame, colours: Mapping[str, str]) -> matplotlib.figure
     rows, size = [len(some) for _, some in panels], (9, 0.21 * len(cells) + 0.8 * len(panels) + 0.5)
     figure, axes = plt.subplots(len(panels), height_ratios=rows, figsize=size, squeeze=False, layout="constrained")
     for (title, some), panel in zip(panels, axes.flat, strict=True):
-        look = some["verdict"].map(colours)
-        panel.hlines(some["cell"], some["low"], some["high"], lw=2, color=look)
-        panel.scatter(some["estimate"], some["cell"], s=22, color=look)
+        look, cell = some["verdict"].map(colours), some["cell"].replace(LABELS)
+        panel.hlines(cell, some["low"], some["high"], lw=2, color=look)
+        panel.scatter(some["estimate"], cell, s=22, color=look)
         panel.set_ylim(len(some) - 0.4, -0.6)
         goal = some[["threshold", "threshold_to"]].iloc[0].dropna()
         panel.vlines(goal, *panel.get_ylim(), color=GREY, ls="--")

@@ -83,12 +83,12 @@ def draw_judged_bars(
     3)`` as `project_perspective` shows them, and joints ``(J, 3)`` as dots."""
     cloud = members.reshape(-1, 3)
     draw_bars(panel, members, cloud, color=COLOURS["member"], lw=0.8, label="true member")
-    draw_bars(panel, bars[~right], cloud, color=COLOURS["wrong"], lw=1.3, label="bar on none")
+    draw_bars(panel, bars[~right], cloud, color=COLOURS["wrong"], lw=1.3, label="bar on no member")
     draw_bars(panel, bars[right], cloud, color=COLOURS["right"], lw=1.5, label="bar on a member")
     if joints is not None:
         x, y = project_perspective(joints, cloud).T
         panel.plot(x, y, "o", color=BLACK, ms=2.4, label="joint")
-    frame_perspective(panel, cloud)
+    frame_perspective(panel, cloud, [bars.reshape(-1, 3)])
 
 
 @checks_arguments

@@ -15,6 +15,8 @@ Time-of-Flight cameras such as that of the Starling 2."""
 GATE_SIGMAS = 4.0
 """Gate on the difference of two ranges of one surface, in standard deviations of a single range. The
 standard deviation of the difference is √2 times as large."""
+STEP_M = 0.15
+"""Neighbours in a scan that are farther apart than this, in range or in space, are on different surfaces."""
 
 
 @register_jitable

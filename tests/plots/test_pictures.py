@@ -11,7 +11,7 @@ from matplotlib.colors import to_rgb
 from steelnb import plots
 from steelnb.core.errors import InputError
 from steelnb.core.types import Segments, Trajectory
-from steelnb.plots.charts import error_dots, some
+from steelnb.plots.charts import error_dots, require_runs
 from steelnb.plots.draw import in_view
 from steelnb.plots.flight import figure_bars, figure_flight
 
@@ -119,8 +119,11 @@ def test_a_figure_without_runs_says_so_and_a_study_without_runs_is_refused():
     rows = pd.DataFrame({"method": ["best"], "case": pd.Categorical(["x"]), "flight": "orbit", "ate_rmse_m": 0.1})
     grid = error_dots(rows[:0], "case", ["best"], col="flight", col_order=["vertical", "orbit"])
     assert [[text.get_text() for text in panel.texts] for panel in grid.axes.flat] == [["no run"]] * 2
-    assert some(rows, ["best"]) is rows
-    for refused in (lambda: some(rows[:0], ["best"]), lambda: error_dots(rows[:0], "case", ["best"], col="flight")):
+    assert require_runs(rows, ["best"]) is rows
+    for refused in (
+        lambda: require_runs(rows[:0], ["best"]),
+        lambda: error_dots(rows[:0], "case", ["best"], col="flight"),
+    ):
         with pytest.raises(InputError, match="no run of best is left to draw"):
             refused()
 

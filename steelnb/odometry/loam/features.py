@@ -11,6 +11,7 @@ import numpy as np
 
 from steelnb.core.kernels import njit
 from steelnb.core.types import Array, IntArray
+from steelnb.points.ranges import STEP_M
 
 SIDE = 5
 """Neighbours on either side of a point, in its scan line, that enter its smoothness. As many neighbours of a chosen
@@ -21,8 +22,6 @@ SMOOTH = 5e-3
 """Smoothness threshold, as published: edge points are above it, planar points below."""
 GRAZING = 4.0
 """A surface is roughly parallel to the ray if the range changes by more than this many times the step across it."""
-STEP_M = 0.15
-"""Neighbours farther apart than this, in range or in space, are on different surfaces."""
 RING_GAP_RAD = 1e-3
 """Gap in elevation between two lasers of a spinning LiDAR."""
 RING_MAX_RAD = 1e-2
