@@ -25,7 +25,7 @@ METHOD_LOOKS = {
     "none": ("no correction", VERMILION),
     "average": ("average (report's)", OLIVE),
     "least_squares": ("least squares", "#E0C400"),
-    "report-segments": ("report's segment program", "#3C4A14"),
+    "report-segments": ("report's segment program", "#1F9000"),
     "icp": ("ICP", SKY),
     "report-icp": ("report's ICP program", "#14ADB8"),
     "icp-3dof": ("3-DoF ICP", GREEN),
@@ -44,8 +44,8 @@ METHOD_LOOKS = {
     "kiss-icp": ("KISS-ICP", "#101018"),
     "small-gicp": ("small_gicp's VGICP", "#3C2A33"),
 }
-"""Odometries: segments are olive to yellow, ICP blue to green, GICP pink to wine, LOAM brown, combinations violet,
-images red, learned lime, third-party nearly black."""
+"""Odometries: segments are olive to yellow, the report's program for them green, ICP blue to green, GICP pink to wine,
+LOAM brown, combinations violet, images red, learned lime, third-party nearly black."""
 DETECTORS = {
     "hough": ("Hough", INDIGO),
     "ransac-lines": ("RANSAC lines", GREEN),
