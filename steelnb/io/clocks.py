@@ -23,6 +23,11 @@ the median. They differ if these distances differ by more than the second, which
 it is more than the third, and much more than the distances vary."""
 RIGHT_SHARE = 0.1
 """Minimum share of stamps with the clock of the poses, if most were taken before that clock was set."""
+SWAPPED_BY = 4
+"""Scans are swapped with others by at most so many places."""
+EVENER = 0.5
+"""Digits without zeros before them are decimals of a second if they make the steps more even, by this factor."""
+FRACTIONS = {3: "ms", 6: "µs", 9: "ns"}
 PARTS_SHARE = 0.3
 """Parts of a scan are recorded within this share of the time to the next scan."""
 
@@ -100,6 +105,34 @@ def rising_stamps(stamp_s: Array, strictly: bool = True) -> IntArray:
     while before[chosen[-1]] >= 0:
         chosen.append(int(before[chosen[-1]]))
     return known[chosen]
+
+
+def seconds_and_fraction(column: Sequence[str]) -> tuple[Array, str] | None:
+    """Stamps ``(N,)``, seconds, and their units, from numbers such as 7.42 where 42 counts ns, µs or ms: some programs
+    write them after the point without the zeros before them. Their steps are then even if they are read so, and not as
+    decimals; else None."""
+    parts = [number.partition(".") for number in column]
+    longest = max((len(part) for *_, part in parts), default=0)
+    digits = next((each for each in (3, 6, 9) if each >= longest), 0)
+    if not digits or len({len(part) for *_, part in parts}) == 1:
+        return None
+    if not all(whole.isdecimal() and (part or "0").isdecimal() for whole, _, part in parts):
+        return None
+    plain = np.array([float(number) for number in column])
+    padded = np.array([int(whole) + int(part or 0) / 10**digits for whole, _, part in parts])
+    uneven = [float(np.ptp(np.diff(np.sort(stamp_s)))) for stamp_s in (plain, padded)]
+    return (padded, f"s and {FRACTIONS[digits]}") if uneven[1] < EVENER * uneven[0] else None
+
+
+def in_order(stamp_s: Array) -> IntArray:
+    """Indices of the scans with stamps ``(N,)`` by stamp, each stamp once, if those recorded in another order are near
+    their place: programs with several threads swap scans, and of two sensors one lags. Else `rising_stamps`."""
+    known = np.flatnonzero(~np.isnan(stamp_s))
+    order = np.argsort(stamp_s[known], kind="stable")
+    if np.abs(order - np.arange(len(order))).max(initial=0) > SWAPPED_BY:
+        return rising_stamps(stamp_s)
+    found = known[order]
+    return found[np.diff(stamp_s[found], prepend=-np.inf) > 0]
 
 
 def taken_together(

@@ -174,6 +174,8 @@ class Part:
             with self._reader() as reader:
                 chunks = getattr(getattr(reader, "storage", None), "chunks", ())
                 self._is_scanned = any(not chunk.channel_count for chunk in chunks)  # no index of messages
+                self._is_scanned |= bool(chunks) and not all(each.msgtype for each in reader.connections)
+                self._is_scanned |= bool(chunks) and not reader.connections  # the summary need not repeat channels
                 held = [((each.topic, each.msgtype, _encoding(each)), each.msgcount) for each in reader.connections]
                 self.span_ns = reader.start_time, reader.end_time
         except Exception:  # of the library: no index, another profile, damage

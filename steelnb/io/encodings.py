@@ -5,7 +5,8 @@ import re
 from pathlib import Path
 
 MARKS = {codecs.BOM_UTF8: "utf-8", codecs.BOM_UTF16_LE: "utf-16-le", codecs.BOM_UTF16_BE: "utf-16-be"}
-WINDOWS_NAN = re.compile(rb"-?1\.#(?:IND|QNAN|SNAN|INF)\d*")
+WINDOWS_NAN = re.compile(rb"-?1\.#[A-Z]+\d*")
+"""NaN and infinity as Windows wrote them, also if the decimals cut them: 1.#QNAN, 1.#J, -1.#IO."""
 REPLAYED = "expected clouds (PointCloud2), which the sensor's driver records when it replays them"
 PACKETS = f"packets of a network (pcap); {REPLAYED}"
 WEB_PAGE = "a web page; expected the file itself"

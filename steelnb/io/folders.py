@@ -116,7 +116,16 @@ def _scans(folder: Path) -> tuple[list[Path], list[Path]]:
             kinds = f"{len(chosen)} clouds such as {chosen[0].name}, and {len(each)} such as {each[0].name}"
             raise InputError(f"{folder}: {kinds}; {ALIKE}, or one kind a folder")
     scans = _by_number(chosen)
-    return scans, sorted(set(files) - set(scans))
+    return scans, sorted((set(files) | _alike(folder, scans[0])) - set(scans))
+
+
+def _alike(folder: Path, scan: Path) -> set[Path]:
+    """Files that are named as the scans but have another ending, as where half of them are compressed."""
+    form = NUMBER.sub("#", scan.stem)
+    if "#" not in form:
+        return set()
+    named = (file for file in folder.glob("[!.]*") if NUMBER.sub("#", file.name.partition(".")[0]) == form)
+    return {file for file in named if file.is_file()}
 
 
 def _texts(folder: Path) -> list[Path]:

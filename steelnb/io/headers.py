@@ -135,13 +135,14 @@ class Headers:
         """Frame and child frame of each object on a topic, the one with most messages first, with all pairs of its
         messages. Empty names may be those of any. Names that follow one another in time are of one object."""
         found = [pair for pair, _ in self.frames_of[topic].most_common()]
-        named = [pair for pair in found if not any(_is_less(pair, each) for each in found)]
+        partly = [pair for pair in found if not all(pair)]
+        named = [pair for pair in found if all(pair) or not any(_is_less(pair, each) for each in found)]
         spans = sorted(self._span[topic, pair] for pair in named)
         if len(named) > 1 and all(one[1] <= other[0] for one, other in itertools.pairwise(spans)):
             names = " → ".join(filter(None, named[0]))
             self.note(f"{topic} names several frames, one after the other; all are taken for {names}")
             return {named[0]: found}
-        return {pair: [each for each in found if each == pair or _is_less(each, pair)] for pair in named}
+        return {pair: [pair, *(each for each in partly if _is_less(each, pair))] for pair in named}
 
     def of_object(self, topic: str, pair: Pair, values: int, what: str) -> Array:
         """Rows of stamp and values of the messages of a topic that are about one of its `objects`."""

@@ -104,6 +104,12 @@ def _is_calibrated(K: Array) -> bool:
     return bool(np.isfinite(K).all() and min(K[0, 0], K[1, 1]) > FOCAL_MIN and below < 1e-6 * K[0, 0])
 
 
+def _is_usual(K: Array, height: int, width: int) -> bool:
+    """Whether the principal point is near the middle of an image."""
+    share = K[:2, 2] / (width, height)
+    return bool(CENTRE[0] <= share.min() and share.max() <= CENTRE[1])
+
+
 def camera_matrix(camera: CameraInfo, height: int, width: int) -> tuple[Array, str]:
     """``K (3, 3)`` of an image of this size, and a note if it differs from that of its CameraInfo.
 
@@ -114,9 +120,8 @@ def camera_matrix(camera: CameraInfo, height: int, width: int) -> tuple[Array, s
         raise InputError(f"CameraInfo with K {K.ravel().tolist()}; expected that of a calibrated camera")
     whole = camera.width, camera.height
     is_central = 0 <= K[0, 2] <= width and 0 <= K[1, 2] <= height  # all that can be checked without a size
+    is_usual = _is_usual(K, height, width)
     if whole in ((width, height), (0, 0)) and is_central:
-        share = K[:2, 2] / (width, height)
-        is_usual = CENTRE[0] <= share.min() and share.max() <= CENTRE[1]
         centre = f"principal point ({K[0, 2]:g}, {K[1, 2]:g}) in {width} × {height} pixels"
         return K, "" if is_usual else f"{centre}: K of the CameraInfo may be that of another size"
     if whole == (width, height):
@@ -129,10 +134,12 @@ def camera_matrix(camera: CameraInfo, height: int, width: int) -> tuple[Array, s
         for up, down in ((binned, (width, height)), ((width, height), binned)):
             ratio = up[0] // max(down[0], 1)
             if ratio and up == (ratio * down[0], ratio * down[1]):
-                scale = np.array(binning) * (ratio if up is binned else 1 / ratio)
-                K[:2, 2] -= begin
-                K[:2] /= scale[:, None]
-                return K, f"{sizes}: its K is scaled"
+                scale, scaled = np.array(binning) * (ratio if up is binned else 1 / ratio), K.copy()
+                scaled[:2, 2] -= begin
+                scaled[:2] /= scale[:, None]
+                if is_usual and not _is_usual(scaled, height, width):
+                    return K, f"{sizes}: its K is that of the image already, by its principal point"
+                return scaled, f"{sizes}: its K is scaled"
     raise InputError(f"{sizes}; expected the same size or a whole ratio")
 
 

@@ -1,5 +1,7 @@
 """Rows of stamp, position and quaternion xyzw: which are poses of a drone, and in which order its quaternions are."""
 
+import itertools
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
@@ -20,6 +22,9 @@ ROTATION_TOLERANCE = 1e-2
 UPRIGHT, UPRIGHT_SHARE = 0.7, 0.9
 """Minimum cosine between the vertical and the z axis of what stands upright, and share of the poses that have it, by
 which a drone does."""
+ZEROS_FAR_M, ZEROS_SPEED = 1.0, 30.0
+"""Poses at (0, 0, 0) between others stand for none if a drone would have to go farther than this, and faster, m/s, to
+get there and back."""
 LEVEL = 0.2
 """Maximum sine between the horizontal and an axis that is level, as one across the image is; drones bank by more, but
 seldom longer."""
@@ -64,6 +69,18 @@ def _are_apart(rows: Array, others: Array) -> NDArray[np.bool_]:
     return apart
 
 
+def are_placeholders(rows: Array) -> NDArray[np.bool_]:
+    """Which ``rows (N, 4 or more)``, rising by stamp, are at (0, 0, 0) between others, where no drone gets so fast."""
+    is_zero = (rows[:, 1:4] == 0).all(axis=1)
+    begin = np.flatnonzero([True, *(is_zero[1:] != is_zero[:-1])])
+    found = np.zeros(len(rows), bool)
+    for first, end in itertools.pairwise(begin[1:]):
+        edges = rows[[first, end]] - rows[[first - 1, end - 1]]
+        way_m = np.linalg.norm(edges[:, 1:4], axis=1)
+        found[first:end] = is_zero[first] and (way_m > np.maximum(ZEROS_FAR_M, ZEROS_SPEED * edges[:, 0])).all()
+    return found
+
+
 def jump_m(rows: Array) -> float:
     """Median distance of poses, ``rows (N, 4 or more)``, from the next, if they jump to and fro, else 0."""
     if len(rows) < 4:
@@ -82,6 +99,16 @@ def xyzw_of(rows: Array, columns: int) -> Array | None:
         return None
     xyzw[is_finite] = Rotation.from_matrix(R).as_quat()
     return xyzw
+
+
+def of_transforms(rows: Array) -> Array:
+    """``T[:3]``, ``(N, 12)``, of transforms, ``rows (N, 16)``, row by row, or column by column as Eigen, MATLAB and
+    ARKit write them. Raises ValueError if neither way the last row is 0 0 0 1."""
+    T, is_finite = rows.reshape(-1, 4, 4), np.isfinite(rows).all(axis=1)
+    for ordered in (T, T.transpose(0, 2, 1)):
+        if np.abs(ordered[is_finite, 3] - (0, 0, 0, 1)).max(initial=0.0) < ROTATION_TOLERANCE:
+            return ordered[:, :3].reshape(-1, 12)
+    raise ValueError("16 numbers after the stamp that are no transforms; expected 0 0 0 1 as the last row")
 
 
 def heights_of_z(quaternions: Array) -> tuple[Array, Array]:

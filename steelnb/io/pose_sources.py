@@ -12,7 +12,7 @@ from steelnb.core.types import Array, Trajectory
 from steelnb.io import messages as ros
 from steelnb.io.containers import Container
 from steelnb.io.folders import TRAJECTORIES
-from steelnb.io.frame_names import is_world_name, namespace
+from steelnb.io.frame_names import is_world_name, namespace, own_name
 from steelnb.io.headers import Headers
 from steelnb.io.transforms import Tree
 
@@ -26,6 +26,7 @@ REACH_MIN_M, STILL, MOVING_SHARE, REACHES = 1.0, 1e-3, 0.5, (0.5, 2.0)
 """Poses on a topic are not the drone's if none of their numbers changes by `STILL`, as of wheels that stand, while
 those on tf reach farther than `REACH_MIN_M`, and change in more than `MOVING_SHARE` of their steps: a correction
 changes only a few. `REACHES`: bounds of the ratio of the two reaches, beyond which both are noted."""
+MOVING_TF, STILL_TF = "tf", "tf_static"
 GRID = 200
 """Number of stamps at which two paths are compared."""
 
@@ -51,8 +52,7 @@ def pose_source(bag: Container, name: str | None, scans: str) -> PoseSource:
     By default the only topic of Odometry or PoseStamped, else tf, else the only one of another type with poses. Left
     out are topics of goals by their names, and those with one or two poses for many scans; see also `settled`.
     """
-    tf = tuple(bag.of_type(*ros.TF))  # of several namespaces that of the scans, since drones have frames alike
-    tf = tuple(topic for topic in tf if scans.startswith(f"{namespace(topic)}/")) or tf
+    tf = _transforms(bag, scans)
     first, notes = bag.of_type(ros.ODOMETRY, ros.POSE_STAMPED), list[str]()
     others = bag.of_type(ros.POSE_COVARIANCE, ros.TRANSFORM, ros.PATH)
     if name is None:
@@ -65,8 +65,8 @@ def pose_source(bag: Container, name: str | None, scans: str) -> PoseSource:
             notes += [_left_out(topic, OF_GOAL) for topic in goals]
             first = [topic for topic in first if topic not in goals]
     if name in bag.of_type(*ros.TF):
-        same = [topic for topic in bag.of_type(*ros.TF) if namespace(topic) == namespace(name)]
-        return PoseSource(tuple(same), uses_tf=True)
+        still = [topic for topic in _transforms(bag, name) if own_name(topic) == STILL_TF]
+        return PoseSource((name, *(topic for topic in still if topic != name)), uses_tf=True)
     if name and name not in bag.types:
         if os.path.isfile(name):  # Path.is_file raises for a name that is too long
             return PoseSource(tf, file=name)
@@ -81,6 +81,17 @@ def pose_source(bag: Container, name: str | None, scans: str) -> PoseSource:
     if tf:
         return PoseSource(tf, uses_tf=True, topics=tuple(others) if len(others) == 1 else (), notes=tuple(notes))
     return PoseSource(tf, topics=(bag.choose("poses", None, others),), notes=tuple(notes))
+
+
+def _transforms(bag: Container, near: str) -> tuple[str, ...]:
+    """The topics of transforms for a topic: of several namespaces its own, since drones have frames alike; and of other
+    names, such as the /tf_old of a program that was run again, none if there is the usual one."""
+    found, every = list[str](), bag.of_type(*ros.TF)
+    for own in (MOVING_TF, STILL_TF):
+        named = [topic for topic in every if own_name(topic) == own]
+        found += [topic for topic in named if near.startswith(f"{namespace(topic)}/")] or named
+    others = [topic for topic in every if own_name(topic) not in (MOVING_TF, STILL_TF)]
+    return tuple(found) if any(own_name(topic) == MOVING_TF for topic in found) else (*found, *others)
 
 
 def settled(source: PoseSource, headers: Headers, tree: Tree, sensor: str) -> PoseSource:

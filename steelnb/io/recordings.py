@@ -13,7 +13,7 @@ from steelnb.core.errors import InputError
 from steelnb.core.files import check_exists, display_name
 from steelnb.core.types import Array, Flight, IntArray, Scan, Trajectory
 from steelnb.io.bags import open_bag
-from steelnb.io.clocks import OF_BAG, ONE_CLOCK, Clock, rising_stamps
+from steelnb.io.clocks import OF_BAG, ONE_CLOCK, Clock, in_order
 from steelnb.io.clouds import READERS
 from steelnb.io.containers import is_bag
 from steelnb.io.encodings import foreign_file
@@ -97,7 +97,7 @@ def read_flight(
         mount, facts["mount"] = T_drone_sensor, "as given"
     if note := note_on_rotations(prior.T_world_drone):
         facts["notes"] = "; ".join(filter(None, (facts.get("notes"), note)))
-    number, usable = rising_stamps(stamp_s), int((~np.isnan(stamp_s)).sum())
+    number, usable = in_order(stamp_s), int((~np.isnan(stamp_s)).sum())
     skipped["scan whose stamp does not rise"] += usable - len(number)
     if len(number) < RISING_MIN * usable:
         span = f"{np.nanmin(stamp_s):.3f} to {np.nanmax(stamp_s):.3f} s"
@@ -151,7 +151,16 @@ class Scans(Sequence[Scan]):
         return len(self._number)
 
     def __iter__(self) -> Iterator[Scan]:
-        return map(_scan, self.stamp_s.tolist(), self._walk(self._number))
+        return map(_scan, self.stamp_s.tolist(), self._in_order())
+
+    def _in_order(self) -> Iterator[Callable[[], Array]]:
+        """Decoders by stamp; a scan that was recorded too early waits for those before it."""
+        recorded, waiting = np.sort(self._number), dict[int, Callable[[], Array]]()
+        coming = zip(recorded.tolist(), self._walk(recorded), strict=True)
+        for wanted in self._number.tolist():
+            while wanted not in waiting:
+                waiting |= [next(coming)]
+            yield waiting.pop(wanted)
 
     def __getitem__(self, index):  # type: ignore[no-untyped-def, override]
         found = Scans(self._walk, np.atleast_1d(self._number[index]), np.atleast_1d(self.stamp_s[index]))

@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from steelnb.core.types import Array, Trajectory
+from steelnb.io.clocks import EVENER, FRACTIONS, seconds_and_fraction
 from steelnb.io.table_form import unix_us
 from steelnb.io.trajectories import SECONDS, unit_of_stamps
 
@@ -16,9 +17,6 @@ OVERLAP_MIN, NS_DIGITS = 0.5, 16
 nanoseconds."""
 COUNT_SHARE = 0.1
 """Numbers after seconds count if, as decimals, they give a median interval of less than this share of the mean one."""
-EVENER = 0.5
-"""Digits without zeros before them are decimals of a second if they make the steps more even, by this factor."""
-FRACTIONS = {3: "ms", 6: "µs", 9: "ns"}
 NUMBER = re.compile(r"\d+(?:\.\d+)?")
 MEASURE = re.compile(r"(?<!\d)\d{1,7}\.\d+(?:C|m|cm|mm|km|kB|MB|GB|V|Hz)(?![A-Za-z])")
 """A number with decimals and a unit, such as 20.5C, is no stamp."""
@@ -77,7 +75,8 @@ def _readings(
 
     ``is_dated``: a date has become Unix seconds, after which numbers often count."""
     if any("." in number for number in column):
-        stamp_s, units = _decimals(column)
+        plain_s = np.array([float(number) for number in column])
+        stamp_s, units = seconds_and_fraction(column) or (plain_s, "s")
         unix = unit_of_stamps(stamp_s)
         is_order = len(prior) == len(column) and not unix and len(column) > 1
         if not is_order or _overlap(np.sort(stamp_s), prior.stamp_s) > OVERLAP_MIN:
@@ -103,19 +102,6 @@ def _readings(
         stamp_s = np.array([number // per_second + number % per_second / per_second for number in whole])
         if unit in sure or _overlap(stamp_s, prior.stamp_s) > OVERLAP_MIN:
             yield stamp_s, unit.replace("us", "µs")
-
-
-def _decimals(column: Sequence[str]) -> tuple[Array, str]:
-    """Seconds with decimals. Some programs write nanoseconds after the point without the zeros before them: stamps of
-    scans then have even steps if they are read so, and not otherwise."""
-    plain, parts = np.array([float(number) for number in column]), [number.partition(".") for number in column]
-    longest = max(len(part) for *_, part in parts)
-    digits = next((each for each in (3, 6, 9) if each >= longest), 0)
-    if not digits or len({len(part) for *_, part in parts}) == 1:
-        return plain, "s"
-    padded = np.array([int(whole) + int(part or 0) / 10**digits for whole, _, part in parts])
-    uneven = [float(np.ptp(np.diff(np.sort(stamp_s)))) for stamp_s in (plain, padded)]
-    return (padded, f"s and {FRACTIONS[digits]}") if uneven[1] < EVENER * uneven[0] else (plain, "s")
 
 
 def _overlap(one_s: Array, other_s: Array) -> float:

@@ -82,6 +82,11 @@ class Table:
         numeric = takewhile(lambda k: table[k].dtype.kind in "iuf", more)
         return table[[*wanted, *numeric]].to_numpy(np.float64)
 
+    def texts(self, column: int) -> list[str]:
+        """The fields of a column as they are written."""
+        lines = (line.partition(b"#")[0].decode("utf-8", "replace") for line in self.data.splitlines())
+        return [split_cells(line, self.separator)[column].strip('"') for line in lines if line.strip()]
+
     def _check(self, wanted: Sequence[int], rows: int | None) -> None:
         """Raise ValueError for the first line with too many or too few fields, or without a number that is wanted."""
         seen = 0

@@ -20,6 +20,10 @@ PACKED = {
     "sensor_msgs/msg/PointCloud": "an old PointCloud; expected PointCloud2 (ROS 1: point_cloud_converter)",
 }
 """Messages of scans that are not read, by patterns of their types: what they are, and the remedy."""
+SELDOM = 2
+"""A sensor sends at least one of so many scans as clouds, if it does: fewer clouds are of a map, or of features."""
+NO_DEPTH = {"confidence", "ir", "infra", "infrared", "amplitude", "intensity", "disparity"}
+"""Words in the names of topics whose images have the encoding of depth but hold something else."""
 LOOKED_AT = 10
 """Number of messages that tell what an IMU measures, or whether images are of depth."""
 
@@ -30,6 +34,10 @@ def scan_topic(bag: Container, name: str | None) -> str:
     for pattern, words in PACKED.items():
         found = [topic for topic, kind in bag.types.items() if re.fullmatch(pattern, kind)]
         packed |= {t: words for t in found if bag.types[t] != ros.COMPRESSED_IMAGE or "depth" in t.lower()}
+    seldom = (
+        not name and bool(clouds) and max(map(bag.count, clouds)) * SELDOM < max(map(bag.count, _scans(bag, packed)))
+    )
+    clouds = [] if seldom else clouds  # of maps and features
     images, faults = depth_images(bag, name) if name or not clouds else ([], [])
     candidates = [*clouds, *images] if name else clouds or images
     if name in packed or (packed and not candidates):
@@ -38,6 +46,11 @@ def scan_topic(bag: Container, name: str | None) -> str:
     if faults and not candidates:
         raise faults[0]
     return bag.choose(SCANS, name, candidates)
+
+
+def _scans(bag: Container, packed: dict[str, str]) -> list[str]:
+    """Topics of clouds, of depth images and of packed scans."""
+    return [*bag.of_type(ros.CLOUD), *depth_images(bag, None)[0], *packed]
 
 
 def depth_images(bag: Container, name: str | None) -> tuple[list[str], list[InputError]]:
@@ -53,7 +66,9 @@ def depth_images(bag: Container, name: str | None) -> tuple[list[str], list[Inpu
                 continue
             kind = depth_encoding(encoding)
             is_grey = kind == "mono16" and "depth" not in topic.lower()  # images in the infrared are mono16, too
-            if topic == name or (kind in DEPTHS and not is_grey):
+            words = re.split(r"[^a-z]+", re.sub(r"depth_to_\w+", "depth", topic.lower()))
+            is_other = not NO_DEPTH.isdisjoint(words)
+            if topic == name or (kind in DEPTHS and not is_grey and not is_other):
                 found.append(topic)
                 break
             if "depth" in topic.lower():

@@ -14,8 +14,9 @@ from steelnb.core.checks import SAME_S
 from steelnb.core.errors import InputError
 from steelnb.core.files import new_file, reading
 from steelnb.core.types import Array, Trajectory
+from steelnb.io import kitti, pose_rows
+from steelnb.io.clocks import seconds_and_fraction
 from steelnb.io.column_names import QUATERNION, ROLES, ROTATIONS, STAMPS, TUM
-from steelnb.io.pose_rows import SPEED_MAX, are_far, are_valid, w_is_first, xyzw_of
 from steelnb.io.table_form import read_table
 from steelnb.io.text import Table
 
@@ -39,8 +40,8 @@ def read_trajectory(path: Path | str, skipped: Counter[str] | None = None) -> Tr
     By the names of its columns, if it has them: a stamp, x, y, z, and qx, qy, qz, qw, or roll, pitch and yaw (turned
     about z, then y, then x) with their unit, or r11, r12, … r33: CSV of other programs, EuRoC. Else lines of ``stamp x
     y z qx qy qz qw`` (TUM), of a stamp and the numbers of ``T_world_drone``, or of the twelve of ``T_world_drone[:3]``
-    with the stamps in times.txt beside it (KITTI). Stamps are seconds, or Unix times in a smaller unit, or in the unit
-    that their name gives.
+    with the stamps in times.txt beside it (KITTI; with calib.txt, too, they are turned from its camera to its scanner).
+    Stamps are seconds, or Unix times in a smaller unit, or in the unit that their name gives.
 
     Dropped poses are counted in ``skipped``. Raises `InputError`.
     """
@@ -74,16 +75,18 @@ def check_units(rows: Array, unit: str) -> None:
     if typical_s > STEP_MAX_S and not unit and not unit_of_stamps(rows[:, 0]):
         expected = "expected seconds, or their unit in the column's name (stamp_s, stamp_ns)"
         raise ValueError(f"stamps {typical_s:.4g} s apart; {expected}")
-    if np.median(way_m - SPEED_MAX * step_s) > 0 and np.median(way_m) <= COORDINATE_MAX_M:
+    if np.median(way_m - pose_rows.SPEED_MAX * step_s) > 0 and np.median(way_m) <= COORDINATE_MAX_M:
         expected = "positions in metres, and stamps in seconds or with their unit in the column's name (stamp_ns)"
         raise ValueError(f"poses {np.median(way_m):.4g} m apart after {typical_s:.4g} s; expected {expected}")
 
 
-def _seconds(stamps: Array, unit: str) -> Array:
-    """``unit``: "" if not given."""
+def _seconds(stamps: Array, unit: str, table: Table, column: int) -> Array:
+    """The ``stamps (N,)`` of a column in seconds; ``unit``: "" if not given."""
     if unit and unit not in SECONDS:
         raise ValueError(f"stamps in {unit}; expected one of {', '.join(SECONDS)}")
-    return stamps * SECONDS[unit or unit_of_stamps(stamps) or "s"]
+    unit = unit or unit_of_stamps(stamps) or "s"
+    padded = seconds_and_fraction(table.texts(column)) if unit == "s" and np.isfinite(stamps).all() else None
+    return stamps * SECONDS[unit] if padded is None else padded[0]
 
 
 def _unnamed(path: Path, table: Table, skipped: Counter[str]) -> Array:
@@ -91,36 +94,29 @@ def _unnamed(path: Path, table: Table, skipped: Counter[str]) -> Array:
     if table.has_header:
         raise ValueError(f"columns {', '.join(table.names)[:80]}; expected {', '.join(TUM)}")
     count, other = len(table.own), "without names; expected 8, or 12 with times.txt beside it"
-    stamps = [_stamps_beside(path)] if count == 12 else []
+    stamps = [kitti.stamps_beside(path)] if count == 12 else []
     if count not in (8, 12, 13, 17):
         raise ValueError(f"{count} numbers per line, {other}")
     rows = table.values(table.own)
     if count > 8:
         if stamps and len(rows) != len(stamps[0]):
             raise ValueError(f"{len(rows)} poses, {len(stamps[0])} stamps in times.txt; expected as many")
-        rows = np.column_stack([*stamps, rows])
-        if (xyzw := xyzw_of(rows[:, 1:13], 4)) is None:
+        if stamps:
+            rows = np.column_stack([*stamps, kitti.of_scanner(path, rows)])
+        elif count == 17:
+            rows = np.column_stack([rows[:, :1], pose_rows.of_transforms(rows[:, 1:])])
+        if (xyzw := pose_rows.xyzw_of(rows[:, 1:13], 4)) is None:
             other = "not rotations with translations (KITTI)" if stamps else other
             raise ValueError(f"{count} numbers per line, {other}")
-        return np.column_stack([_seconds(rows[:, 0], ""), rows[:, 4:13:4], xyzw])
+        stamp_s = rows[:, 0] if stamps else _seconds(rows[:, 0], "", table, table.own[0])
+        return np.column_stack([stamp_s, rows[:, 4:13:4], xyzw])
     is_euroc = table.separator == "," and unit_of_stamps(rows[:, 0]) == "ns" and not table.said
-    rows[:, 0] = _seconds(rows[:, 0], "")
+    rows[:, 0] = _seconds(rows[:, 0], "", table, table.own[0])
     orders = [table.said[k : k + 4] for k in range(3, len(table.said)) if table.said[k - 1].endswith("z")]
     is_said = ("qw", "qx", "qy", "qz") in orders and QUATERNION not in orders
-    w_first = w_is_first(rows[:, 4:]) if is_euroc else is_said
+    w_first = pose_rows.w_is_first(rows[:, 4:]) if is_euroc else is_said
     skipped[MAY_BE_W_FIRST] += w_first is None
     return rows[:, [0, 1, 2, 3, 5, 6, 7, 4]] if w_first else rows
-
-
-def _stamps_beside(path: Path) -> Array:
-    """The stamps of KITTI's poses ``(N, 1)``."""
-    beside = path.with_name("times.txt")
-    if not beside.is_file():
-        raise ValueError("12 numbers per line (KITTI) without stamps; expected them in times.txt beside it")
-    times = read_table(beside)
-    if times.columns != 1:
-        raise ValueError(f"times.txt beside it has {times.columns} numbers a line; expected one, the stamp")
-    return times.values([0])
 
 
 def _named(table: Table, number: dict[str, int | None]) -> tuple[Array, str]:
@@ -143,7 +139,7 @@ def _named(table: Table, number: dict[str, int | None]) -> tuple[Array, str]:
         raise ValueError(f"x, y and z in {', '.join(sorted(other))}; expected metres")
     values = table.values([*stamp, *position, *(k for k in turned if k is not None)])
     unit = table.units[stamp[0]]
-    stamp_s, values = _seconds(values[:, 0], unit), values[:, 1:]
+    stamp_s, values = _seconds(values[:, 0], unit, table, stamp[0]), values[:, 1:]
     if len(stamp) == 2:
         stamp_s, values = stamp_s + values[:, 0] * SECONDS[table.units[stamp[1]]], values[:, 1:]
     xyzw = values[:, 3:]
@@ -154,10 +150,20 @@ def _named(table: Table, number: dict[str, int | None]) -> tuple[Array, str]:
         xyzw, finite = np.full((len(values), 4), np.nan), np.isfinite(values).all(axis=1)
         xyzw[finite] = Rotation.from_euler("ZYX", values[finite, 3:], degrees=units == {"deg"}).as_quat()
     elif turned is not quaternion:
-        if (found := xyzw_of(values[:, 3:], 3)) is None:
+        if (found := pose_rows.xyzw_of(values[:, 3:], 3)) is None:
             raise ValueError(f"{', '.join(ROTATIONS)} are no rotations; expected a matrix, row by row")
         xyzw = found
-    return np.column_stack([stamp_s, values[:, :3], xyzw]), unit
+    rows = np.column_stack([stamp_s, values[:, :3], xyzw])
+    return rows * (1, 1, -1, -1, 1, -1, -1, 1) if _has_z_down(table) else rows, unit
+
+
+def _has_z_down(table: Table) -> bool:
+    """Whether y points to the right or east and z down: PX4 says so in pose_frame (1 NED, 2 FRD), and the recordings of
+    AirSim, with their own names, have it so."""
+    frame = table.find("pose_frame")
+    if frame is not None:
+        return bool(np.isin(table.values([frame]), (1, 2)).mean() > 0.5)
+    return {"pos_x", "q_w"} <= {*table.names} and not {"imagefile", "vehiclename"}.isdisjoint(table.names)
 
 
 def _stamp_columns(table: Table) -> list[int]:
@@ -197,7 +203,7 @@ def trajectory_of(path: Path | str, rows: Array, skipped: Counter[str]) -> Traje
     dropped and counted in ``skipped``. Raises `InputError` if no pose remains, and if most quaternions are not of unit
     length.
     """
-    valid = np.flatnonzero(are_valid(rows))
+    valid = np.flatnonzero(pose_rows.are_valid(rows))
     skipped[OUT_OF_ORDER] += int((np.diff(rows[valid, 0]) < 0).sum())
     _, first = np.unique(rows[valid, 0], return_index=True)
     chosen = valid[first]
@@ -206,7 +212,9 @@ def trajectory_of(path: Path | str, rows: Array, skipped: Counter[str]) -> Traje
         parts = [" ".join(f"{number:g}" for number in part) for part in np.split(rows[0, 1:], [3])] if len(rows) else ()
         is_not = ", not x y z {}, qx qy qz qw {}".format(*parts) if parts else ""
         raise InputError(f"{path}: {len(rows)} poses, none valid; expected finite numbers and unit quaternions{is_not}")
-    far = are_far(rows[chosen])
+    chosen = chosen[~(zeros := pose_rows.are_placeholders(rows[chosen]))]
+    skipped["pose at (0, 0, 0) between others, where no drone gets so fast"] += int(zeros.sum())
+    far = pose_rows.are_far(rows[chosen])
     skipped["pose farther from those before and after than a drone flies"] += int(far.sum())
     chosen = chosen[~far]
     length = np.linalg.norm(rows[chosen, 4:], axis=1)

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from steelnb.core.errors import InputError
 from steelnb.core.types import Trajectory
 from steelnb.io import read_flight
-from steelnb.io.clocks import far_stamps, rising_stamps, taken_together
+from steelnb.io.clocks import far_stamps, in_order, rising_stamps, taken_together
 from tests.io.samples import Bagged, poses
 
 EPOCH_S = 1_700_000_000.0
@@ -187,3 +187,15 @@ def test_poses_that_are_recorded_in_bursts_are_in_metres(tmp_path, clock):
     for k, (topic, kind, _, message) in enumerate(bag.rows[-60:]):
         bag.rows[k - 60] = topic, kind, 0.3 * (k // 6) + 4e-5 * (k % 6), message
     assert len(read_flight(bag.write(), clock=clock)) == 5
+
+
+@pytest.mark.parametrize(
+    ("stamp_s", "order"),
+    [
+        ([0, 2, 1, 3, np.nan, 5, 4], [0, 2, 1, 3, 6, 5]),
+        ([1, 1, 2, 2, 3], [0, 2, 4]),
+        ([0, 1, 2, 3, 4, 5, 6, 0.5, 7], [0, 1, 2, 3, 4, 5, 6, 8]),
+    ],
+)
+def test_scans_are_sorted_unless_they_are_far_from_their_place(stamp_s, order):
+    np.testing.assert_array_equal(in_order(np.array(stamp_s, dtype=float)), order)

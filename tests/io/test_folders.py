@@ -258,3 +258,10 @@ def test_scans_of_two_sensors_in_a_folder_are_refused(tmp_path: Path) -> None:
     save_named(tmp_path, "0_front", "1_rear", "2_front", "3_rear", "4_front", "5_rear")
     with pytest.raises(InputError, match="one kind"):
         read_flight(tmp_path)
+
+
+def test_scans_of_another_ending_are_named(folder: Path) -> None:
+    for k in (1, 2, 3, 4):
+        (folder / f"scan{k}.npy").rename(folder / f"scan{k}.npy.gz")
+    write_tum(folder / "trajectory.tum", poses(6))
+    assert read_flight(folder).skipped == {"cloud beside the scans (scan1.npy.gz, scan2.npy.gz, scan3.npy.gz, …)": 4}

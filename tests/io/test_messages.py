@@ -212,26 +212,30 @@ def test_a_camera_of_another_size_or_unit_is_noted_or_refused(change, says):
 
 
 @pytest.mark.parametrize(
-    ("width", "height", "binning", "roi", "expected"),
+    ("width", "height", "binning", "roi", "given"),
     [
         (80, 60, (1, 1), (0, 0, 0, 0), K),
         (0, 0, (1, 1), (0, 0, 0, 0), K),
-        (640, 480, (1, 1), (0, 0, 0, 0), K / [[8], [8], [1]]),
-        (40, 30, (1, 1), (0, 0, 0, 0), K * [[2], [2], [1]]),
-        (160, 120, (2, 2), (0, 0, 0, 0), K / [[2], [2], [1]]),
-        (160, 120, (1, 1), (10, 20, 80, 60), K - [[0, 0, 10], [0, 0, 20], [0, 0, 0]]),
-        (400, 400, (2, 2), (10, 20, 160, 120), (K - [[0, 0, 10], [0, 0, 20], [0, 0, 0]]) / [[2], [2], [1]]),
+        (640, 480, (1, 1), (0, 0, 0, 0), K * [[8], [8], [1]]),
+        (40, 30, (1, 1), (0, 0, 0, 0), K / [[2], [2], [1]]),
+        (160, 120, (2, 2), (0, 0, 0, 0), K * [[2], [2], [1]]),
+        (160, 120, (1, 1), (10, 20, 80, 60), K + np.array([[0, 0, 10], [0, 0, 20], [0, 0, 0]])),
+        (400, 400, (2, 2), (10, 20, 160, 120), K * [[2], [2], [1]] + np.array([[0, 0, 10], [0, 0, 20], [0, 0, 0]])),
+        (640, 480, (1, 1), (0, 0, 0, 0), K),
+        (320, 240, (4, 4), (0, 0, 0, 0), K),
+        (320, 240, (1, 1), (120, 90, 80, 60), K),
         (640, 400, (1, 1), (0, 0, 0, 0), None),
         (120, 90, (1, 1), (0, 0, 0, 0), None),
     ],
 )
-def test_the_camera_is_that_of_the_images_size_or_refused(width, height, binning, roi, expected):
-    camera = CameraInfo(K, width, height, binning, roi)
-    if expected is None:
+def test_the_camera_is_that_of_the_image_or_refused(width, height, binning, roi, given):
+    if given is None:
         with pytest.raises(InputError, match="expected the same size or a whole ratio"):
-            camera_matrix(camera, 60, 80)
+            camera_matrix(CameraInfo(K, width, height, binning, roi), 60, 80)
     else:
-        np.testing.assert_allclose(camera_matrix(camera, 60, 80)[0], expected)
+        found, said = camera_matrix(CameraInfo(np.array(given), width, height, binning, roi), 60, 80)
+        np.testing.assert_allclose(found, K)
+        assert ("already" in said) == (given is K and width > 80)
 
 
 def test_contradictions_are_told_once_and_a_flight_without_a_readable_scan_is_refused(tmp_path):
@@ -264,6 +268,15 @@ def test_depth_images_are_told_from_grey_and_compressed_ones(tmp_path):
     packed.rows.append(("/depth/compressedDepth", "sensor_msgs/msg/CompressedImage", 0.0, message))
     with pytest.raises(InputError, match=r"/depth/compressedDepth is a compressed depth image; expected a raw one"):
         read_flight(packed.write())
+
+
+def test_a_map_and_images_of_other_things_are_no_scans(tmp_path):
+    depth_mm = np.full((2, 3), 2000, "<u2")
+    bag = Bagged(tmp_path / "a.mcap").images("/depth/image", depth_mm, "16UC1").camera().odometry()
+    bag.images("/ir/image", depth_mm, "16UC1").images("/depth/confidence_map", depth_mm.astype("<f4"), "32FC1")
+    flight = read_flight(bag.clouds("/octomap_point_cloud_centers", stamps=[0.0, 0.8], frame="map").write())
+    assert flight.facts["scans"] == "/depth/image (Image)"
+    assert len(flight) == 5
 
 
 def test_mutated_headers_end_in_points_or_in_a_fault():

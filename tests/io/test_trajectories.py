@@ -144,7 +144,7 @@ def test_poses_of_kitti_take_their_stamps_from_the_file_beside(tmp_path: Path) -
         ("50000000000 1 2 3 0 0 0 1\n50100000000 1 2 3 0 0 0 1\n", "stamps 1e.08 s apart; expected seconds"),
         ("0 1 2 3 0 0 0 1\n1 1 2 3 0 0\n", "line 2 has 6 fields"),
         ("2 " * 12 + "\n", "without stamps"),
-        ("2 " * 17 + "\n", "17 numbers per line, without names; expected 8"),
+        ("2 " * 17 + "\n", "16 numbers after the stamp that are no transforms"),
         (
             f"t,x,y,z,{','.join(ROTATIONS)}\n0,{'1,' * 11}1\n",
             "r11, r12, .* are no rotations; expected a matrix, row by",
@@ -232,3 +232,64 @@ def test_rows_as_of_euroc_without_names_have_w_first_if_the_drone_is_upright_so(
     assert any("EuRoC" in reason for reason in +skipped) == is_noted
     if not (w_first and is_noted):
         np.testing.assert_allclose(read.T_world_drone[0, :3, :3], turn.as_matrix(), atol=1e-9)
+
+
+@pytest.mark.parametrize("by_columns", [False, True])
+def test_matrices_are_read_row_by_row_or_column_by_column(by_columns: bool, tmp_path: Path) -> None:
+    flown = poses(6)
+    T = flown.T_world_drone.transpose(0, 2, 1) if by_columns else flown.T_world_drone
+    np.savetxt(tmp_path / "a.txt", np.column_stack([flown.stamp_s, T.reshape(-1, 16)]))
+    np.testing.assert_allclose(read_trajectory(tmp_path / "a.txt").T_world_drone, flown.T_world_drone, atol=1e-9)
+
+
+def test_poses_of_kittis_camera_are_turned_to_its_scanner(tmp_path: Path) -> None:
+    flown, T_camera_scanner = poses(6), np.array([[0, -1, 0, 0.1], [0, 0, -1, -0.2], [1, 0, 0, -0.3], [0, 0, 0, 1.0]])
+    of_camera = T_camera_scanner @ flown.T_world_drone @ np.linalg.inv(T_camera_scanner)
+    np.savetxt(tmp_path / "poses.txt", of_camera[:, :3].reshape(-1, 12))
+    np.savetxt(tmp_path / "times.txt", flown.stamp_s)
+    numbers = " ".join(map(str, T_camera_scanner[:3].ravel().tolist()))
+    (tmp_path / "calib.txt").write_text(f"P0: 7 0 6 0 0 7 1 0 0 0 1 0\nTr: {numbers}\n")
+    np.testing.assert_allclose(read_trajectory(tmp_path / "poses.txt").T_world_drone, flown.T_world_drone, atol=1e-9)
+    (tmp_path / "calib.txt").write_text("P0: 7 0 6 0 0 7 1 0 0 0 1 0\n")
+    with pytest.raises(InputError, match=r"poses of a camera \(KITTI\), and calib.txt beside it has no Tr"):
+        read_trajectory(tmp_path / "poses.txt")
+    (tmp_path / "calib.txt").write_text("board: 7 x 5\n")
+    np.testing.assert_allclose(read_trajectory(tmp_path / "poses.txt").T_world_drone, of_camera, atol=1e-9)
+
+
+@pytest.mark.parametrize("head", ["", "stamp x y z qx qy qz qw\n"])
+def test_nanoseconds_without_zeros_before_them_are_padded(head: str, tmp_path: Path) -> None:
+    flown, begin = poses(40, 0.05), 1_700_000_000
+    rows = np.column_stack([flown.position, Rotation.from_matrix(flown.T_world_drone[:, :3, :3]).as_quat()])
+    stamps = [divmod(round(1e9 * stamp_s), 10**9) for stamp_s in flown.stamp_s]
+    lines = [f"{begin + s}.{ns} {' '.join(map(str, row))}" for (s, ns), row in zip(stamps, rows.tolist(), strict=True)]
+    (tmp_path / "a.tum").write_text(head + "\n".join(lines))
+    np.testing.assert_allclose(read_trajectory(tmp_path / "a.tum").stamp_s, begin + flown.stamp_s, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("names", "last"),
+    [
+        ("timestamp_us,position[0],position[1],position[2],q[0],q[1],q[2],q[3],pose_frame", "1"),
+        ("TimeStamp_us,POS_X,POS_Y,POS_Z,Q_W,Q_X,Q_Y,Q_Z,ImageFile", "img_1.png"),
+    ],
+)
+def test_poses_of_px4_and_airsim_are_turned_up(names: str, last: str, tmp_path: Path) -> None:
+    flown, down = poses(6), np.diag([1.0, -1, -1, 1])
+    T = down @ flown.T_world_drone @ down
+    xyzw = Rotation.from_matrix(T[:, :3, :3]).as_quat()
+    rows = np.column_stack([1e6 * flown.stamp_s, T[:, :3, 3], xyzw[:, [3, 0, 1, 2]]]).tolist()
+    (tmp_path / "a.csv").write_text("\n".join([names, *(",".join([*map(str, row), last]) for row in rows)]))
+    np.testing.assert_allclose(read_trajectory(tmp_path / "a.csv").T_world_drone, flown.T_world_drone, atol=1e-9)
+
+
+def test_zeros_between_poses_that_go_on_are_none() -> None:
+    stamp_s = 0.01 * np.arange(200)
+    rows = np.column_stack([stamp_s, 5 + stamp_s, 0 * stamp_s, 2 + 0 * stamp_s, np.tile([0, 0, 0, 1.0], (200, 1))])
+    rows[50:90, 1:4] = 0
+    skipped: Counter[str] = Counter()
+    assert len(trajectory_of("a", rows, skipped)) == 160
+    assert skipped["pose at (0, 0, 0) between others, where no drone gets so fast"] == 40
+    standing = rows.copy()
+    standing[:, 1:4] *= 0.01  # from a start near the origin a drone flies on
+    assert len(trajectory_of("a", standing, skipped)) == 200

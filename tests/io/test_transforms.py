@@ -1,6 +1,7 @@
 """Frames of recordings: mounts through chains and on /tf, gimbals, several sensors, worlds, and clouds in the world."""
 
 import time
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -597,3 +598,20 @@ def test_depth_images_without_tf_look_ahead(bag, frame):
     np.testing.assert_array_equal(flight.T_drone_sensor, np.eye(4))
     np.testing.assert_array_equal(flight.scans[0].points[..., 0], 2.0)
     assert "identity assumed" in flight.facts["mount"]
+
+
+def test_transforms_of_another_name_are_left_out(tmp_path):
+    bag = Bagged(tmp_path / "a.mcap").clouds(frame="base_link")
+    aside = poses(5).T_world_drone.copy()
+    aside[:, 0, 3] += 0.5
+    bag.moving("odom", "base_link", SimpleNamespace(stamp_s=poses(5).stamp_s, T_world_drone=aside), "/tf_old")
+    bag.moving("odom", "base_link").write()
+    for given in (None, "/tf"):
+        np.testing.assert_allclose(read_flight(bag.path, poses=given).prior.T_world_drone, poses(5).T_world_drone)
+    np.testing.assert_allclose(read_flight(bag.path, poses="/tf_old").prior.T_world_drone, aside)
+
+
+def test_transforms_that_stay_may_have_another_namespace(tmp_path):
+    bag = Bagged(tmp_path / "a.mcap").clouds().moving("odom", "base_link")
+    flight = read_flight(bag.tf("base_link", "tof", MOUNT, topic="/uav1/tf_static").write())
+    np.testing.assert_allclose(flight.T_drone_sensor, MOUNT, atol=1e-12)
