@@ -30,6 +30,7 @@ from steelnb.core.kernels import compiling
 from steelnb.core.types import Flight, Lines, Scan, Segments, Trajectory
 from steelnb.hough.alternatives.methods import find_bars_by
 from steelnb.notebook import study
+from steelnb.notebook.runs import run_all
 
 CLOUD = np.random.default_rng(0).uniform(-1, 1, (60, 3))
 POSES = np.tile(np.eye(4), (3, 1, 1))
@@ -100,6 +101,16 @@ def test_clouds_of_another_kind(take, cloud):
           for name, value in (("pca_ratio_min", 2), ("pca_ratio_min", NAN), ("gap_max", -1), ("gap_max", NAN),
                               ("radius_max", 0), ("radius_max", NAN), ("density_min", -1), ("length_min", NAN),
                               ("max_lines", 0), ("granularity", 7))],
+        (lambda: OdometryStep(0.0, np.eye(4), covariance=-np.eye(6)), "covariance: expected a symmetric matrix"),
+        (lambda: OdometryStep(0.0, np.eye(4), covariance=np.tri(6)), "covariance: expected a symmetric matrix"),
+        (lambda: settings.FusionSettings(angle_max_rad=8.0), "angle_max_rad = 8.0"),
+        (lambda: settings.ExperimentSettings.preset(duration_s=pd.Series([5.0])), "duration_s = "),
+        (lambda: settings.ExperimentSettings.preset(overrides={"tof.samples": [5, 2**70]}), "step 1180591620717411303424; expected"),
+        (lambda: settings.ExperimentSettings.preset(overrides={"tof.blind_s": [[2, np.inf]]}), "blind_s.* = inf"),
+        (lambda: settings.ExperimentSettings.report("3.5", "vertical", "gicp", noise=""), "noise = ''"),
+        (lambda: settings.ExperimentSettings.report("3.5", "vertical", "gicp", ""), "method = ''"),
+        (lambda: run_all(settings.ExperimentSettings.preset()), "cases = "),
+        (lambda: run_all(["best"]), "a case = 'best': expected ExperimentSettings"),
         (lambda: find_bars_by("houg", CLOUD), "method = 'houg': expected one of .*did you mean 'hough'"),
         (lambda: find_bars_by("hough", CLOUD, seed=-1), "seed = -1: expected an integer of at least 0"),
         (lambda: find_bars_by("gmm", CLOUD, components=[]), "components = .*at least one"),
@@ -115,7 +126,7 @@ def test_clouds_of_another_kind(take, cloud):
         (lambda: fusion.reconstruct(SCANS, POSES[:2]), r"T_world_drone: .*expected \(3, 4, 4\)"),
         (lambda: fusion.reconstruct(SCANS, 2 * POSES), r"T_world_drone\[0\]: last row"),
         (lambda: fusion.reconstruct(iter(SCANS), POSES), "scans: list_iterator"),
-        (lambda: metrics.largest_slip(np.zeros(1), 5), "1 scans; expected at least two"),
+        (lambda: metrics.largest_slip(np.zeros(1), np.zeros(1)), "1 scans with 1 stamps; expected at least two"),
         (lambda: settings.ExperimentSettings.preset(duration_s=1e-9), "duration_s = 1e-09: expected two scans"),
         (lambda: metrics.score_segments(Segments.empty(), CLOUD), r"axes: .*\(M, 2, 3\)"),
         (lambda: registration.make_target(CLOUD, "icp"), "error = 'icp': expected one of 'point'"),
@@ -138,7 +149,7 @@ def test_clouds_of_another_kind(take, cloud):
         (lambda: metrics.score_gaps(FLIGHT.prior, FLIGHT.prior, (1.0, 2.0)), r"blind_s: .*expected \(N, 2\)"),
         (lambda: metrics.score_segments(Segments.empty(), AXES, angle_max_rad=NAN), "angle_max_rad = nan"),
         (lambda: metrics.score_segments(Segments.empty(), AXES, np.ones(3, bool)), "observed: .*bool"),
-        (lambda: metrics.largest_slip(np.zeros(9), 0), "scans = 0: expected an integer of at least 1"),
+        (lambda: metrics.largest_slip(np.zeros(9), np.zeros(9)), r"stamp_s\[1\] = .* strictly increasing stamps"),
         (lambda: io.write_flight("flight.mcap", None), "flight = None: expected Flight, as from read_flight"),
         (lambda: io.read_flight("flight.bag", T_drone_sensor=np.eye(3)), r"T_drone_sensor: .*\(3, 3\)"),
         (lambda: io.read_flight("flight.bag", T_drone_sensor=2 * np.eye(4)), "T_drone_sensor: last row"),

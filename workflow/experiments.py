@@ -4,6 +4,7 @@ import itertools
 import json
 import platform
 import re
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -91,7 +92,10 @@ def parse_parameters(text: str) -> dict[str, Any]:
         return name, json.loads(json.dumps(found))
 
     items = re.split(r"\s+(?=['\"]?[A-Za-z_][\w.]*\s*=)", text.strip())
-    return dict(value(re.sub(r"^(['\"])(.*)\1$", r"\2", item)) for item in items if item)
+    found = [value(re.sub(r"^(['\"])(.*)\1$", r"\2", item)) for item in items if item]
+    if twice := [name for name, count in Counter(name for name, _ in found).items() if count > 1]:
+        raise InputError(f"{twice[0]} is given twice; expected it once")
+    return dict(found)
 
 
 def make_parts(root: Path, ids: Sequence[str], budget: str, given: Mapping[str, Any] | None = None) -> list[Part]:

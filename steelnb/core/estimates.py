@@ -16,6 +16,7 @@ from steelnb.core.checks import (
     checked_pose,
     set_checked,
 )
+from steelnb.core.errors import InputError
 from steelnb.core.geometry import translated
 from steelnb.core.types import Array, IntArray, Segments, Trajectory
 
@@ -43,7 +44,11 @@ class OdometryStep:
     def __post_init__(self) -> None:
         checked_kind(self.used, "OdometryStep.used", bool | np.bool_)
         if self.covariance is not None:
-            set_checked(self, covariance=checked_array(self.covariance, "OdometryStep.covariance", (6, 6)))
+            C = checked_array(self.covariance, "OdometryStep.covariance", (6, 6))
+            least, largest = np.linalg.eigvalsh(C)[[0, -1]]
+            if max(-least, np.abs(C - C.T).max()) > 1e-6 * max(largest, 0.0):
+                raise InputError("OdometryStep.covariance: expected a symmetric matrix without negative eigenvalues")
+            set_checked(self, covariance=C)
         checked_kind(self.reason, "OdometryStep.reason", str)
         for stage, seconds in checked_kind(self.seconds, "OdometryStep.seconds", dict).items():
             checked_number(seconds, f"OdometryStep.seconds[{stage!r}]")

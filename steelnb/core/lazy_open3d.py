@@ -18,6 +18,11 @@ def import_open3d() -> ModuleType:
         if comm:
             comm.create_comm = comm.DummyComm  # type: ignore[attr-defined]
         import open3d
+    except ImportError as fault:  # its C code makes one of an interrupt
+        cause: BaseException | None = fault
+        while cause and not isinstance(cause, KeyboardInterrupt | SystemExit):
+            cause = cause.__cause__ or cause.__context__
+        raise (cause or fault) from None
     finally:
         if comm:
             comm.create_comm = create_comm  # type: ignore[attr-defined]

@@ -29,9 +29,10 @@ def call(app: "typer.Typer", name: str, arguments: list[str] | None) -> int:
         message = fault.format_message() if isinstance(fault, typer.TyperException) else str(fault)
         say(f"{name}: error: {' '.join(message.split())[:1000]}", sys.stderr)
         return 2
-    except OSError as fault:  # stdout has no room for a help text
+    except OSError as fault:  # stdout has no room for a help text, or the working directory is gone
         discard(sys.stdout)
-        say(f"{name}: error: {fault.strerror or fault}", sys.stderr)
+        words = filter(None, (fault.filename, fault.strerror or fault))
+        say(f"{name}: error: {': '.join(map(str, words))}", sys.stderr)
         return 2
     except KeyboardInterrupt:
         return 130

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from steelnb.core.arguments import checks_arguments
 from steelnb.core.errors import InputError, OutputError
-from steelnb.core.files import OVERWRITE, new_folder
+from steelnb.core.files import OVERWRITE, check_writable, new_folder
 from steelnb.core.types import Array, Flight, Trajectory
 from steelnb.io.containers import typestore
 from steelnb.io.messages import CLOUD, IMU, ODOMETRY, TF
@@ -28,12 +28,14 @@ Entry = tuple[int, str, Any]
 
 
 def check_target(path: Path, overwrite: bool = False) -> None:
-    """Raise `InputError` unless the suffix is .bag or .mcap, and `OutputError` if the path or its truth exists."""
+    """Raise `InputError` unless the suffix is .bag or .mcap, and `OutputError` if the path or its truth exists, or
+    nothing can be written there."""
     if path.suffix.lower() not in (".bag", ".mcap"):
         raise InputError(f"{path}: ending {path.suffix!r}; expected .bag or .mcap")
     for each in (path, truth_path(path)):  # the truth may be another recording's
         if os.path.isdir(each) or (os.path.exists(each) and not overwrite):
             raise OutputError(f"{each}: exists already; expected a new name, or {OVERWRITE}")
+    check_writable(path.parent)
 
 
 @checks_arguments

@@ -52,7 +52,7 @@ def write_structure(structure: Structure, path: Path | str, about: Mapping[str, 
     bars = {
         "start_m": s.start.tolist(), "end_m": s.end.tolist(), "width_m": _null_if_nan(structure.width_m),
         "sigma_m": _null_if_nan(structure.sigma_m), "sightings": structure.sightings.tolist(),
-        "points": s.count.tolist(), "radius_m": s.radius.tolist(), "opening": opening, "section": section,
+        "points": s.count.tolist(), "radius_m": _null_if_nan(s.radius), "opening": opening, "section": section,
     }  # fmt: skip
     head = {
         "format": "steelnb structure", "version": 5, "units": {"length": "metre"},

@@ -5,11 +5,19 @@ from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from steelnb.core.arguments import checks_arguments
-from steelnb.core.checks import checked_array, checked_integer, checked_points, checked_shape
+from steelnb.core.checks import (
+    check_same_stamps,
+    checked_array,
+    checked_integer,
+    checked_points,
+    checked_shape,
+    checked_stamps,
+)  # fmt: skip
 from steelnb.core.errors import InputError
 from steelnb.core.estimates import Estimate
 from steelnb.core.geometry import transform_points, yaw_of
 from steelnb.core.types import Array, Flight
+from steelnb.metrics.trajectory import pairs_in_time
 from steelnb.points import preprocess_scan
 from steelnb.settings import PreprocessSettings
 from steelnb.simulation import Truth
@@ -80,17 +88,20 @@ def basin_radius_m(offset_m: Array, converged: np.ndarray) -> float:
 
 
 @checks_arguments
-def largest_slip(error_m: Array, scans: int) -> tuple[int, float]:
-    """Largest growth of an error ``(N,)`` over ``scans`` scans: (scan at its end, growth in metres).
+def largest_slip(error_m: Array, stamp_s: Array) -> tuple[int, float]:
+    """Largest growth of an error ``(N,)`` within a second of its stamps ``(N,)``, by `pairs_in_time`, or over all of a
+    shorter flight: (scan at its end, growth in metres).
 
     Raises `InputError` for fewer than two scans."""
-    error_m = checked_array(error_m, "error_m", ("N",))
-    if len(error_m) < 2:
-        raise InputError(f"error_m: {len(error_m)} scans; expected at least two")
-    scans = min(checked_integer(scans, "scans", 1), len(error_m) - 1)
-    growth = error_m[scans:] - error_m[:-scans]
+    error_m, stamp_s = checked_array(error_m, "error_m", ("N",)), checked_stamps(stamp_s, "stamp_s")
+    if len(error_m) < 2 or len(stamp_s) != len(error_m):
+        raise InputError(f"error_m: {len(error_m)} scans with {len(stamp_s)} stamps; expected at least two, one each")
+    first, second, scale = pairs_in_time(stamp_s)
+    if not len(first):
+        first, second, scale = np.array([0]), np.array([len(error_m) - 1]), np.ones(1)
+    growth = scale * (error_m[second] - error_m[first])
     k = int(growth.argmax())
-    return k + scans, float(growth[k])
+    return int(second[k]), float(growth[k])
 
 
 @checks_arguments
@@ -98,8 +109,9 @@ def paired_clouds(
     flight: Flight, estimate: Estimate, truth: Truth, preprocess: PreprocessSettings, every: int = 4
 ) -> tuple[Array, Array]:
     """Points of one scan in ``every``, at the estimated and at the true poses: two clouds ``(N, 3)``, metres, world
-    frame. Row k of both is the same return."""
+    frame. Row k of both is the same return. Raises `InputError` if the estimate is of another flight."""
     every = checked_integer(every, "every", 1)
+    check_same_stamps(estimate.corrected.stamp_s, "estimate.corrected", flight.prior.stamp_s, "the scans of the flight")
     true = truth.trajectory.at(flight.prior.stamp_s).T_world_drone
     estimated, shown = estimate.corrected.T_world_drone, range(0, len(flight.scans), every)
     T_drone_sensor = flight.T_drone_sensor

@@ -60,7 +60,7 @@ def diagnose(flight: Flight, estimate: Estimate, truth: Truth, preprocess: Prepr
     if len(stamp_s) < 2:
         raise InputError(f"estimate: {len(stamp_s)} poses; expected at least two to diagnose")
     error, paired = position_error_m(estimate.corrected, path), estimate.matches > 0
-    lost, scans_per_s = ~paired[1:], max(1, round((len(stamp_s) - 1) / max(stamp_s[-1] - stamp_s[0], 1e-9)))
+    lost = ~paired[1:]
     growth, raw_growth = (np.diff(each) / np.diff(stamp_s) for each in (error, position_error_m(estimate.prior, path)))
     true = path.at(stamp_s).T_world_drone[:, :3, :3]
     cosine = 0.5 * (np.einsum("nij,nij->n", true, estimate.corrected.T_world_drone[:, :3, :3]) - 1)
@@ -81,7 +81,7 @@ def diagnose(flight: Flight, estimate: Estimate, truth: Truth, preprocess: Prepr
         "raw_growth_lost_m_s": mean(raw_growth, lost),
         "raw_growth_paired_m_s": mean(raw_growth, ~lost),
         "wrong_share": mean(error > WRONG_M, paired, of_none=0.0),
-        "slip_m": largest_slip(error, scans_per_s)[1],
+        "slip_m": largest_slip(error, stamp_s)[1],
         "bend_deg": bend_deg,
         "turned_mean_deg": rotation_error_deg.mean(),
         "turned_final_deg": rotation_error_deg[-1],

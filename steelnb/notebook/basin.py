@@ -173,7 +173,7 @@ def slip_table(cases: Sequence[ExperimentSettings], results: Sequence[Result]) -
     scans more than `WRONG_M` off, its `largest_slip` with its time, and whether it went wrong (`WRONG_SHARE`)."""
     rows = table(results)[["trajectory", "noise", "method", "sensor", "seed", "ate_rmse_m", "error_final_m"]]
     errors = [position_error_m(each.corrected, each.truth.trajectory) for each in results]
-    slips = [largest_slip(error_m, round(case.tof.rate_hz)) for case, error_m in zip(cases, errors, strict=True)]
+    slips = [largest_slip(error_m, each.corrected.stamp_s) for each, error_m in zip(results, errors, strict=True)]
     # The report's program has 0.1 m.
     rows["max_correspondence_m"] = [getattr(case.odometry, "max_correspondence_m", 0.1) for case in cases]
     rows["blind_s"] = [sum(last - first for first, last in case.tof.blind_s) for case in cases]

@@ -176,8 +176,9 @@ def check_parameters(experiment: str, given: Mapping[str, Any], defaults: Mappin
     values = {name: getattr(fitted, name) for name in kinds}
     try:
         for name, value in values.items():
-            if isinstance(value, list):
-                check_once(name, value)
+            for key, each in {name: value, **(value if isinstance(value, dict) else {})}.items():
+                if isinstance(each, list):
+                    check_once(key, each)
         check_combinations(values)
     except InputError as fault:
         raise InputError(f"{experiment}: {fault}") from None

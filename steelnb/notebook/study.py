@@ -35,7 +35,7 @@ from steelnb.simulation.calibration import measure_calibration
 
 RUN_COLUMNS = ("sensor", "duration_s", "trajectory", "seed", "noise", "variant", "method")
 """Columns that identify a run; tables are sorted by them."""
-CURVES = ("curve_time_s", "curve_raw_m", "curve_error_m", "curve_matches")
+CURVES = ["curve_time_s", "curve_raw_m", "curve_error_m", "curve_matches"]
 TIMES = ("frame_median_ms", "frame_p95_ms", "machine")
 """Columns that differ from run to run of the same settings; comparisons ignore them."""
 CURVE_SAMPLES = 100
@@ -85,7 +85,8 @@ class Grid(Settings):
     @field_validator("seeds", mode="before")
     @classmethod
     def _ranges(cls, value: Any) -> Any:
-        return [seed for each in (value if isinstance(value, list) else [value]) for seed in seeds_of(each)]
+        many = isinstance(value, list | tuple | set | range)
+        return [seed for each in (value if many else [value]) for seed in seeds_of(each)]
 
     @field_validator("trajectories", "noises", "sensors", "methods", mode="before")
     @classmethod
@@ -206,9 +207,8 @@ def thinned_curves(result: experiment.Result) -> dict[str, np.ndarray]:
 def study_curves(table: pd.DataFrame) -> pd.DataFrame:
     """The thinned curves of some runs in long form, one row per sample: the columns `RUN_COLUMNS`, ``time_s``, the
     errors without and with correction, ``raw_m`` and ``error_m``, and ``matches``, the number of correspondences."""
-    long = table[[*RUN_COLUMNS, *CURVES]].dropna(subset=list(CURVES)).explode(list(CURVES), ignore_index=True)
-    named = {name: name.removeprefix("curve_") for name in CURVES}
-    return long.astype(dict.fromkeys(CURVES, float)).rename(columns=named)
+    long = table.reindex(columns=[*RUN_COLUMNS, *CURVES]).dropna(subset=CURVES).explode(CURVES, ignore_index=True)
+    return long.astype(dict.fromkeys(CURVES, float)).rename(columns=lambda name: name.removeprefix("curve_"))
 
 
 def check_runs(folder: Path | str, runs: Iterable[Run], overwrite: bool = False) -> None:

@@ -4,6 +4,7 @@ import copy
 import importlib
 import inspect
 import sys
+import traceback
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -11,7 +12,7 @@ from typing import Any
 
 from steelnb.core.arguments import checks_arguments
 from steelnb.core.checks import guess
-from steelnb.core.errors import InputError
+from steelnb.core.errors import InputError, SteelnbError
 from steelnb.core.types import Flight
 from steelnb.odometry.base import Odometry
 
@@ -71,10 +72,16 @@ def make_own(own: Callable[..., Odometry], flight: Flight) -> Odometry:
 
 @contextmanager
 def no_exit(what: str, expected: str = "no exit") -> Iterator[None]:
-    """Raise `InputError` where a user's code would end the process, often with the code of success. ``what``: that
-    code."""
+    """Raise `InputError` where a user's code fails, with the line, or would end the process, often with the code of
+    success. ``what``: that code."""
     try:
         yield
+    except SteelnbError:
+        raise
+    except Exception as fault:
+        last = traceback.extract_tb(fault.__traceback__)[-1]
+        said = f"{type(fault).__name__}: {fault}".removesuffix(": ")
+        raise InputError(f"{what} raises {said} ({last.filename}, line {last.lineno})") from fault
     except SystemExit as ended:
         if isinstance(ended.code, int) and ended.code > SIGNALLED:
             raise

@@ -3,6 +3,7 @@
 import copy
 import time
 from collections.abc import Callable
+from contextlib import nullcontext
 from typing import Any
 
 import numpy as np
@@ -48,14 +49,14 @@ def run(flight: Flight, odometry: Odometry, on_step: OnStep | None = None, befor
         given = (scan if is_ours else copy.deepcopy(scan)), flight.prior.T_world_drone[k].copy()  # which it may change
         begin = time.perf_counter()
         try:
-            with no_exit("it", "an OdometryStep"):
+            with nullcontext() if is_ours else no_exit("it", "an OdometryStep"):
                 step = odometry.update(*given)
             update_s[k] = time.perf_counter() - begin
             # Checked again, as the odometry may have changed the array since.
             T_world_drone[k] = checked_pose(checked_kind(step, "its result", OdometryStep).T_world_drone, "its pose")
             _check_stamp(step.stamp_s, "its result", scan.stamp_s, "its scan")
         except InputError as fault:
-            raise InputError(f"{type(odometry).__name__}.update, scan {k}: {fault}") from None
+            raise InputError(f"{type(odometry).__name__}.update, scan {k}: {fault}") from fault.__cause__
         steps.append(step)
         # On one line, as it is printed.
         reason.append("" if step.used else " ".join((scan.fault or step.reason).split()) or "not used")

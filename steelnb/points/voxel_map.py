@@ -133,10 +133,12 @@ class VoxelMap:
         """
         checked_kind(state, "state", tuple, "SearchState.of(len(source))")
         n = len(source)
-        if [np.shape(each) for each in (source, match, *state)] != [(n, 3), (n,), (n,), (n,), (n, 3)]:
-            raise InputError(
-                f"source of shape {np.shape(source)}: expected ({n}, 3), and match and state of {n} points"
-            )
+        shapes = [np.shape(each) for each in (source, T, match, *state)]
+        if shapes != [(n, 3), (4, 4), (n,), (n,), (n,), (n, 3)]:
+            wanted = f"expected ({n}, 3) and (4, 4), and match and state of {n} points"
+            raise InputError(f"source and T of shapes {shapes[0]} and {shapes[1]}: {wanted}")
+        if not limit_m >= 0 or state.nearest.max(initial=-1) >= self._size:
+            raise InputError(f"limit_m = {limit_m}: expected 0 or more, and the state of a search in this map")
         self.link()
         return int(
             kernels.correspond(source, T, limit_m, self.voxel_m, *self._table, self._around, self._mean, match, *state)

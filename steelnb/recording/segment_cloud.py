@@ -29,6 +29,8 @@ VOXELS_FEW = 10
 """If a cloud, or what voxels leave of it, has fewer points than this many bars need, the message blames that."""
 VOXELS_MAX = 12
 """Maximum radius of a tube, in voxels: the time of the search grows with its cube."""
+FINEST = 1e-5
+"""Minimum ``dx`` and voxel, as a share of the cloud's diagonal."""
 FLAT_M = 0.1
 """Maximum root mean square distance of a flat surface from its plane."""
 EXPLAINED_MIN = 0.5
@@ -162,6 +164,6 @@ def _warnings(found: CloudBars, explained: float, cloud: Cloud, min_votes: int) 
 def _check_length(name: str, value: float | None, cloud: Cloud) -> None:
     diagonal = float(np.linalg.norm(np.ptp(cloud.points, axis=0)))
     # The voxels of a finer grid could not be numbered.
-    if value is not None and not 1e-9 * diagonal <= value <= diagonal:
-        bounds = f"from {1e-9 * diagonal:.1g} to the cloud's {diagonal:.3g} m"
+    if value is not None and not FINEST * diagonal <= value <= diagonal:
+        bounds = f"from {FINEST * diagonal:.1g} to the cloud's {diagonal:.3g} m"
         raise InputError(f"{name} = {value}: expected a length above 0, {bounds}")

@@ -2,6 +2,7 @@
 
 import ast
 import json
+import math
 import re
 import tomllib
 from typing import Annotated, Any, ClassVar, Self, get_args
@@ -134,7 +135,7 @@ def describe_fault(kind: type[Settings], fault: ValidationError) -> str:
     if first["type"] == "missing" and isinstance(loc[-1], int):  # of the values of a tuple
         count = loc[-1] + sum(each["loc"][:-1] == loc[:-1] for each in faults)
         loc, message = loc[:-1], f"expected {count} values"
-    elif first["input"] != first["input"]:  # NaN, whatever the bound that it is compared with
+    elif isinstance(first["input"], float) and math.isnan(first["input"]):
         message = "input should be a finite number"
     elif first["type"] in ("model_type", "dict_type"):
         message = "expected a table"
@@ -152,10 +153,11 @@ def _is_annotation(part: str | int) -> bool:
 
 
 def as_plain(value: Any, lists_as: type = tuple) -> Any:
-    """Convert NumPy's numbers, texts and arrays, also within tables, lists and tuples, to Python's. Lists and arrays
-    become ``lists_as``."""
+    """Convert numbers, texts and arrays of NumPy and pandas, also within tables, lists and tuples, to Python's. Lists
+    and arrays become ``lists_as``."""
     if isinstance(value, dict):
         return {name: as_plain(item, lists_as) for name, item in value.items()}
+    value = value.to_numpy() if hasattr(value, "to_numpy") else value  # of pandas
     value = value.tolist() if isinstance(value, np.generic | np.ndarray) else value
     if isinstance(value, list | tuple):
         kind = tuple if isinstance(value, tuple) else lists_as

@@ -161,8 +161,8 @@ class ExperimentSettings(Settings):
         own = {"tof.samples": plot.name} | ({} if plot.still_s is None else {"flight.still_s": plot.still_s})
         usual_s = overridden(overrides, ARGUMENTS["duration_s"], plot.duration_s)
         settings = cls.preset(
-            plot.flight or plot.trajectory, noise or plot.noise, odometry or method, sensor,  # type: ignore[arg-type]
-            "report" if seed is None else seed,
+            plot.flight or plot.trajectory, plot.noise if noise is None else noise,  # type: ignore[arg-type]
+            method if odometry is None else odometry, sensor, "report" if seed is None else seed,
             usual_s if duration_s is None else duration_s, own | _of_flight(overrides), tower,
         )  # fmt: skip
         if isinstance(settings.odometry, ReportCloudSettings):

@@ -1,5 +1,6 @@
 """Settings of the odometries, one class per family of methods. Lengths in metres, angles in radians."""
 
+import math
 from abc import abstractmethod
 from collections.abc import Mapping
 from contextlib import suppress
@@ -118,7 +119,7 @@ class RegistrationSettings(MapSettings):
     robust_scale: Positive | None = None
     map: Literal["re-voxelised", "weighted", "measured"] = "re-voxelised"
     sigma_filter_px: Annotated[int, Field(ge=0, le=10)] = 0
-    tilt_sigma_rad: NotNegative = 0.0
+    tilt_sigma_rad: Annotated[float, Field(ge=0, le=math.pi)] = 0.0
     inertial: InertialNoise = None
 
     @property

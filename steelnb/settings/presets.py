@@ -19,9 +19,9 @@ SENSORS = tuple(sorted(path.stem for path in (PRESETS / "sensors").glob("*.toml"
 S = TypeVar("S", bound=Settings)
 
 
-def read_toml(path: Path, expected: str = "") -> dict[str, Any]:
+def read_toml(path: Path | str, expected: str = "") -> dict[str, Any]:
     """The tables of a TOML file; ``expected`` describes its content in messages. Raises `InputError`."""
-    expected = expected or "a TOML file"
+    path, expected = Path(path), expected or "a TOML file"
     with reading(path, expected):
         try:
             text = path.read_bytes().decode("utf-8-sig")  # editors of Windows write a byte order mark

@@ -10,6 +10,7 @@ from typing import Annotated, Literal, Self
 import numpy as np
 from pydantic import Field, model_validator
 
+from steelnb.core.errors import InputError
 from steelnb.core.types import Array, IntArray
 from steelnb.settings.base import Finite, NotNegative, Positive, Settings
 from steelnb.settings.presets import sensor_preset
@@ -18,8 +19,8 @@ from steelnb.settings.report_plots import ReportPlot, checked_steps
 TofFault = Literal["footprint", "exposure", "multipath", "amplitude", "wiggle", "calibration"]
 """Faults of a real camera beside range noise: mixed pixels at edges; motion during the exposure; multipath by a second
 surface; noise and dropout that depend on the amplitude; an error periodic in the range; errors of offset and scale."""
-
-
+STEPS_MAX = 2**31
+"""Steps of the simulation are fewer, half a year."""
 SCALE_MIN, SCALE_MAX = 0.8, 1.25
 """Bounds of the measured scale of ranges: other lengths are not in metres."""
 
@@ -77,7 +78,7 @@ class TofSettings(CameraSettings):
     start_s: NotNegative = 0.0
     samples: str | tuple[int, ...] = ()
     draw: Annotated[int, Field(ge=0, lt=2**31)] = 0
-    blind_s: tuple[tuple[float, float], ...] = ()
+    blind_s: tuple[tuple[Finite, Finite], ...] = ()
     faults: tuple[TofFault, ...] = ()
     range_scale: Annotated[float, Field(ge=SCALE_MIN, le=SCALE_MAX)] = 1.0
     range_offset_m: Annotated[float, Field(ge=-0.5, le=0.5)] = 0.0
@@ -104,6 +105,8 @@ class TofSettings(CameraSettings):
         """The steps of ``samples (N,)``; empty if scans are evenly spaced. Raises `InputError`."""
         if isinstance(self.samples, str):
             return ReportPlot.named(self.samples).scans
+        if max(self.samples, default=0) >= STEPS_MAX:
+            raise InputError(f"step {max(self.samples)}; expected steps below {STEPS_MAX}")
         return checked_steps(np.array(self.samples, dtype=np.int64))
 
     @classmethod

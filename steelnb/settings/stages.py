@@ -1,6 +1,7 @@
 """Settings of the stages that several methods share, and of the final reconstruction. Lengths in metres, angles in
 radians."""
 
+import math
 from typing import Annotated, Self
 
 from pydantic import Field
@@ -51,7 +52,7 @@ class HoughSettings(Settings):
 class FusionSettings(Settings):
     """Gates of a segment and a mapped bar: angle, and perpendicular distance, plus both radii if ``add_radii``."""
 
-    angle_max_rad: Positive = 0.13962634015954636  # 8 degrees
+    angle_max_rad: Annotated[float, Field(gt=0, le=math.pi / 2)] = 0.13962634015954636  # 8 degrees
     distance_max_m: Positive = 0.15
     add_radii: bool = False
 

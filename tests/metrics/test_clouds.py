@@ -95,6 +95,20 @@ def test_the_basin_ends_before_the_nearest_failure():
 
 def test_largest_slip_finds_the_scan_where_the_error_has_grown():
     error = np.concatenate([np.full(20, 0.05), np.linspace(0.05, 0.55, 6), np.full(20, 0.55)])
-    scan, growth = largest_slip(error, 5)
+    scan, growth = largest_slip(error, 0.2 * np.arange(len(error)))
     assert (scan, growth) == (24, pytest.approx(0.5)) or (scan, growth) == (25, pytest.approx(0.5))
-    assert largest_slip(np.array([0.0, 0.2, 0.1]), 5) == (2, pytest.approx(0.1))
+    assert largest_slip(np.array([0.0, 0.2, 0.1]), np.array([0.0, 0.2, 0.4])) == (2, pytest.approx(0.1))
+
+
+@pytest.mark.parametrize(
+    "stamp_s",
+    [
+        0.1 * np.arange(300),
+        np.concatenate([0.1 * np.arange(100), 10 + np.arange(20.0)]),
+        np.concatenate([0.1 * np.arange(100), 40 + 0.1 * np.arange(100)]),
+        2.0 * np.arange(20),
+    ],
+    ids=["10 Hz", "10, then 1 Hz", "a gap", "0.5 Hz"],
+)
+def test_a_drift_of_1_cm_a_second_slips_by_1_cm_at_any_rate(stamp_s):
+    assert largest_slip(0.01 * stamp_s, stamp_s)[1] == pytest.approx(0.01)

@@ -307,6 +307,8 @@ def test_a_parameter_is_read_as_python_as_toml_or_as_text(text: str) -> None:
 )
 def test_lists_are_read_in_every_usual_quoting(text: str) -> None:
     assert parse_parameters(f"{text} tof.rate_hz=10") == {"flights": ["loops", "zigzag"], "seed": 3, "tof.rate_hz": 10}
+    with pytest.raises(InputError, match="seed is given twice"):
+        parse_parameters("seed=3 tof.rate_hz=10 seed=4")
     assert parse_parameters("blind_s=[[16, 18], [20, 21]]") == {"blind_s": [[16, 18], [20, 21]]}
 
 

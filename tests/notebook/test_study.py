@@ -343,3 +343,13 @@ def test_rows_name_the_list_of_members_that_they_were_flown_on(tmp_path):
     changed = ExperimentSettings.preset("vertical", overrides={"tower.members": str(own)})
     assert re.fullmatch(r"mine [0-9a-f]{8}", tower_name(changed)), "no path of this machine in a published table"
     assert tower_name(changed).split()[-1] != first.split()[-1]
+
+
+def test_seeds_may_be_a_range_or_a_tuple():
+    for seeds in (range(1, 3), (1, 2), [1, 2]):
+        assert [run.settings.seed for run in grid(**{**AXES, "seeds": seeds, "methods": ["none"]})][:2] == [1, 2]
+
+
+def test_a_study_whose_runs_have_all_failed_has_no_curves():
+    failed = pd.DataFrame([{"trajectory": "zigzag", "noise": "random-walk", "status": "CollisionError"}])
+    assert study_curves(failed).empty

@@ -115,6 +115,19 @@ def test_a_class_that_ends_the_process_is_refused_but_a_signal_ends_it(flight):
         correct(flight, settings, own=ending(143, "update"))
 
 
+@pytest.mark.parametrize("name", ["__init__", "update", "map_points"])
+def test_a_class_that_fails_is_refused_with_its_line(flight, name):
+    failing = ending(0)
+
+    def fail(*_):
+        return {}["pose"]
+
+    setattr(failing, name, fail)
+    with pytest.raises(InputError, match=r"Ending.*raises KeyError: 'pose' \(.*test_plugins.py, line \d+\)") as found:
+        correct(flight, OdometrySettings.preset("best"), own=failing)
+    assert isinstance(found.value.__cause__, KeyError)
+
+
 def test_bars_that_are_not_finite_are_refused(flight):
     odometry = ending(0)()
     odometry.map_segments = lambda: Segments(np.full((1, 3), np.nan), np.ones((1, 3)), np.ones(1), np.ones(1))

@@ -4,6 +4,7 @@ from dataclasses import replace
 from typing import get_args
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from steelnb.core.errors import InputError
@@ -423,3 +424,10 @@ def test_a_rate_of_scans_that_the_reports_plot_has_is_refused():
         ExperimentSettings.report("3.5", "vertical", "gicp", overrides={"tof.rate_hz": 10.0})
     own = ExperimentSettings.report("3.5", "vertical", "gicp", overrides={"tof": {"rate_hz": 10.0, "samples": []}})
     assert own.tof.rate_hz == 10.0
+
+
+def test_numbers_of_pandas_are_settings():
+    given = {"tof.mount_m": pd.Series([0.1, 0.0, 0.0]), "flight.standoff_m": pd.Series([1.5]).iloc[0]}
+    settings = ExperimentSettings.preset("loops", overrides=given)
+    assert settings.tof.mount_m == (0.1, 0.0, 0.0)
+    assert settings.flight.standoff_m == 1.5
