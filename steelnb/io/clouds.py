@@ -21,7 +21,7 @@ from steelnb.core.geometry import shift_of, translated
 from steelnb.core.types import Array, IntArray
 from steelnb.hough.lines import spacing
 from steelnb.io.column_names import AXIS
-from steelnb.io.coordinates import check_degrees, check_first_column, check_steps, is_stray
+from steelnb.io.coordinates import check_degrees, check_first_column, check_geocentric, check_steps, is_stray
 from steelnb.io.encodings import foreign_file
 from steelnb.io.las import read_las
 from steelnb.io.pcd import read_pcd
@@ -90,6 +90,7 @@ def read_cloud(path: Path | str) -> Cloud:
             unit = "millimetres" if extent_m > CENTIMETRES_MAX else "centimetres or millimetres"
             looks = f"a spacing of {spacing_m:.3g} over {extent_m:.4g} looks like {unit}"
             raise InputError(f"{path}: {looks}; expected metres")
+    check_geocentric(path, kept)
     check_steps(path, kept)
     check_degrees(path, kept)
     origin = shift_of(kept.mean(axis=0))

@@ -1,5 +1,6 @@
 """What the coordinates of a cloud say of their order, unit and precision, and which points are none of it."""
 
+import math
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +20,8 @@ FARTHEST_M = 4e4
 """Points farther than this from the mean of all cannot be put into the voxels of a map."""
 STEP_MAX_M, FAR_FROM_ZERO_M, ROUNDED_POINTS = 0.02, 1e4, 100
 """Largest step between coordinates; those below the second are left as they are, as are few points."""
+EARTH_M, HIGH_M = (6.33e6, 6.4e6), 1e4
+"""Bounds of the Earth's radius, which the coordinates of a projection may have, too, but with a z below the second."""
 DEGREE_EXTENTS, DEGREES_MIN, DEGREES_FROM_ZERO, DEGREES_WIDE = 1e3, 1e-6, 5000.0, 0.02
 """Coordinates in degrees extend over so many times less than heights in metres, but over more than rounding does, and
 are so many times their extent away from zero, as a thin tube is only if it stands far from the origin. No tube is as
@@ -52,6 +55,14 @@ def is_stray(path: Path | str, points: Array) -> NDArray[np.bool_]:
         far = f"{count} of {len(points)} points are more than {STRAY_M / 1e3:g} km from most"
         raise InputError(f"{path}: {far}; expected one site")
     return is_missing | (is_far & (count <= STRAY_SHARE * len(kept)))
+
+
+def check_geocentric(path: Path | str, points: Array) -> None:
+    """Raise `InputError` if points ``(N, 3)`` lie on the Earth as seen from its centre (ECEF), where z is not up."""
+    x, y, z = np.median(points, axis=0).tolist()
+    if EARTH_M[0] < math.hypot(x, y, z) < EARTH_M[1] and abs(z) > HIGH_M:
+        place = f"coordinates around ({x:.0f}, {y:.0f}, {z:.0f}) m, as from the centre of the Earth (ECEF)"
+        raise InputError(f"{path}: {place}; expected a projection with z up, such as UTM")
 
 
 def check_steps(path: Path | str, points: Array) -> None:

@@ -17,6 +17,7 @@ from steelnb.core.types import Array, Trajectory
 from steelnb.io import kitti, pose_rows
 from steelnb.io.clocks import seconds_and_fraction
 from steelnb.io.column_names import QUATERNION, ROLES, ROTATIONS, STAMPS, TUM
+from steelnb.io.coordinates import check_geocentric
 from steelnb.io.table_form import read_table
 from steelnb.io.text import Table
 
@@ -158,8 +159,7 @@ def _named(table: Table, number: dict[str, int | None]) -> tuple[Array, str]:
 
 
 def _has_z_down(table: Table) -> bool:
-    """Whether y points to the right or east and z down: PX4 says so in pose_frame (1 NED, 2 FRD), and the recordings of
-    AirSim, with their own names, have it so."""
+    """Whether z points down: PX4 says so in pose_frame (1 NED, 2 FRD), and AirSim's recordings always have it so."""
     frame = table.find("pose_frame")
     if frame is not None:
         return bool(np.isin(table.values([frame]), (1, 2)).mean() > 0.5)
@@ -214,6 +214,7 @@ def trajectory_of(path: Path | str, rows: Array, skipped: Counter[str]) -> Traje
         raise InputError(f"{path}: {len(rows)} poses, none valid; expected finite numbers and unit quaternions{is_not}")
     chosen = chosen[~(zeros := pose_rows.are_placeholders(rows[chosen]))]
     skipped["pose at (0, 0, 0) between others, where no drone gets so fast"] += int(zeros.sum())
+    check_geocentric(path, rows[chosen, 1:4])
     far = pose_rows.are_far(rows[chosen])
     skipped["pose farther from those before and after than a drone flies"] += int(far.sum())
     chosen = chosen[~far]

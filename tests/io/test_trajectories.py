@@ -293,3 +293,12 @@ def test_zeros_between_poses_that_go_on_are_none() -> None:
     standing = rows.copy()
     standing[:, 1:4] *= 0.01  # from a start near the origin a drone flies on
     assert len(trajectory_of("a", standing, skipped)) == 200
+
+
+def test_coordinates_from_the_centre_of_the_earth_are_refused() -> None:
+    rows = np.zeros((20, 8))
+    rows[:, 0], rows[:, 7], rows[:, 1:4] = np.arange(20), 1, (4_177_000.0, 855_000, 4_728_000)
+    with pytest.raises(InputError, match=r"around \(4177000, 855000, 4728000\) m, as from the centre of the Earth"):
+        trajectory_of("a", rows, Counter())
+    rows[:, 1:4] = 500_000, 6_350_000, 120  # UTM, as far from its origin
+    assert len(trajectory_of("a", rows, Counter())) == 20
