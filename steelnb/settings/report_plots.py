@@ -4,7 +4,6 @@ import csv
 import itertools
 from dataclasses import dataclass
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 
@@ -20,7 +19,7 @@ STEP_S = 0.008
 SENSOR_STEPS = 26
 """The original's sensor takes a scan every 26 steps."""
 NOISES = {"3.2": "constant-drift", "3.3": "constant-drift", "3.5": "random-walk", "3.6": "constant-drift"}
-SAMPLES = Path(__file__).resolve().parents[2] / "notebooks" / "report-samples.csv"
+SAMPLES = PRESETS / "report-samples.csv"
 """Steps of the samples of the slow programs, which are not evenly spaced: figure, trajectory, method, sample, step."""
 
 
