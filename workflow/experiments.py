@@ -2,6 +2,7 @@
 
 import itertools
 import json
+import os
 import platform
 import re
 from collections import Counter
@@ -21,6 +22,8 @@ from steelnb.notebook.results import EXPERIMENTS_FILE, file_digest
 from steelnb.settings import Settings, parse_parameter, read_tables
 
 BUDGETS = {"full": "results", "smoke": "results-smoke"}
+OF_FILES = ("tower.members", "tower.mesh")
+"""Settings whose values are files if they have an ending."""
 
 
 class Experiment(Settings):
@@ -83,12 +86,17 @@ def read_parameters(notebook: Path) -> dict[str, Any]:
 
 def parse_parameters(text: str) -> dict[str, Any]:
     """Parse the text of ``P="seed=3 tof.rate_hz=10 flights=['loops', 'zigzag']"``. Elements of a list need no quotes,
-    since a shell removes them. Raises `InputError`."""
+    since a shell removes them. Files are given from the working directory, while kernels run in another one. Raises
+    `InputError`."""
 
     def value(item: str) -> tuple[str, Any]:
         name, found = parse_parameter(item.strip())
         if isinstance(found, str) and re.fullmatch(r"\[.*\]|\(.*\)", found, re.DOTALL):
             found = [value(f"{name}={each}")[1] for each in found[1:-1].split(",") if each.strip()]
+        if isinstance(found, str) and os.path.splitext(found)[1]:
+            if name in OF_FILES and not os.path.isfile(found):
+                raise InputError(f"{name} = {found!r}: no such file; expected one, from this folder")
+            found = os.path.abspath(found) if os.path.isfile(found) else found
         return name, json.loads(json.dumps(found))
 
     items = re.split(r"\s+(?=['\"]?[A-Za-z_][\w.]*\s*=)", text.strip())

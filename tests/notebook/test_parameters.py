@@ -305,10 +305,16 @@ def test_a_parameter_is_read_as_python_as_toml_or_as_text(text: str) -> None:
         """flights="['loops', 'zigzag']" seed=3""",
     ],
 )
-def test_lists_are_read_in_every_usual_quoting(text: str) -> None:
+def test_lists_are_read_in_every_usual_quoting(text: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert parse_parameters(f"{text} tof.rate_hz=10") == {"flights": ["loops", "zigzag"], "seed": 3, "tof.rate_hz": 10}
     with pytest.raises(InputError, match="seed is given twice"):
         parse_parameters("seed=3 tof.rate_hz=10 seed=4")
+    (tmp_path / "mine.toml").write_text("")
+    monkeypatch.chdir(tmp_path)
+    assert parse_parameters("sensor=mine.toml") == {"sensor": str(tmp_path / "mine.toml")}
+    assert parse_parameters("sensor=other.toml") == {"sensor": "other.toml"}
+    with pytest.raises(InputError, match=r"tower.members = 'mast.csv': no such file"):
+        parse_parameters("tower.members=mast.csv")
     assert parse_parameters("blind_s=[[16, 18], [20, 21]]") == {"blind_s": [[16, 18], [20, 21]]}
 
 
