@@ -118,22 +118,26 @@ def settled(source: PoseSource, headers: Headers, tree: Tree, sensor: str) -> Po
     if child not in ("", body) and tree.fixed().between(child, body) is None:
         return source
     rows = headers.rows_of(topic, objects[0], 7)
-    own_m, tf_m = _reaches(rows[:, [0, 2, 3, 4]], np.column_stack([path.stamp_s, path.position]))
+    own_m, tf_m, apart_m = _compared(rows[:, [0, 2, 3, 4]], np.column_stack([path.stamp_s, path.position]))
     why = ""
     if source.is_goal:
         why = OF_GOAL
-    elif not child and not is_world_name(frame) and frame != body and {frame, body} <= {*tree.above(sensor)}:
-        why = f"they are in {frame}, which moves with {body}" if body in tree.above(frame) else ""
+    elif not child and not is_world_name(frame) and frame != body and body in tree.above(frame):
+        why = f"they are in {frame}, which moves with {body}"
+    elif not child and frame == body and apart_m > REACH_MIN_M:
+        why = f"they are in {body} itself, and {apart_m:.2g} m from it on tf"
     elif tf_m > REACH_MIN_M and np.ptp(rows[:, 2:], axis=0).max() < STILL:
         steps_m = np.linalg.norm(np.diff(path.position, axis=0), axis=1)
         moves_on = (steps_m > 0.1 * STILL).mean() > MOVING_SHARE
         why = f"they stay, and {body} moves by {tf_m:.2g} m on tf" if moves_on else ""
     if why:
         return PoseSource(source.tf, uses_tf=True, notes=(*source.notes, _left_out(topic, why)))
+    note = ""
     if max(own_m, tf_m) > REACH_MIN_M and not REACHES[0] < own_m / max(tf_m, STILL) < REACHES[1]:
-        note = f"poses of {topic} reach {own_m:.2g} m, those of tf {tf_m:.2g} m (--poses '{world}>{body}' takes these)"
-        return source._replace(notes=(*source.notes, note))
-    return source
+        note = f"poses of {topic} reach {own_m:.2g} m, those of tf {tf_m:.2g} m"
+    elif apart_m > REACH_MIN_M and (frame == world or frame not in tree.frames):
+        note = f"poses of {topic} are {apart_m:.2g} m from those of tf"
+    return source._replace(notes=(*source.notes, f"{note} (--poses '{world}>{body}' takes these)")) if note else source
 
 
 def drone_on_tf(tree: Tree, sensor: str, note: Callable[[str], None]) -> tuple[str, str]:
@@ -160,18 +164,19 @@ def _carried(tree: Tree, sensor: str, frame: str) -> tuple[str, str, Trajectory]
         return None
 
 
-def _reaches(*paths: Array) -> list[float]:
-    """How far each path, rows ``(N, 4)`` of stamp and position, reaches in 90 % of the time that all share; NaN if that
-    is unknown."""
+def _compared(*paths: Array) -> tuple[float, float, float]:
+    """How far each of two paths, rows ``(N, 4)`` of stamp and position, reaches in 90 % of the time that both share,
+    and their median distance; NaN if that is unknown."""
     whole = [path[np.isfinite(path).all(axis=1)] for path in paths]
     begin_s = max(path[:, 0].min(initial=np.inf) for path in whole)
     end_s = min(path[:, 0].max(initial=-np.inf) for path in whole)
     if min(map(len, whole)) < POSES_MIN or not begin_s < end_s:
-        return [np.nan] * len(paths)
+        return np.nan, np.nan, np.nan
     stamp_s = np.linspace(begin_s, end_s, GRID)
     sorted_paths = [path[np.argsort(path[:, 0], kind="stable")] for path in whole]
     shared = [[np.interp(stamp_s, path[:, 0], axis) for axis in path[:, 1:].T] for path in sorted_paths]
-    return [float(np.linalg.norm(np.subtract(*np.quantile(each, [0.95, 0.05], axis=1)))) for each in shared]
+    own_m, other_m = (float(np.linalg.norm(np.subtract(*np.quantile(each, [0.95, 0.05], axis=1)))) for each in shared)
+    return own_m, other_m, float(np.median(np.linalg.norm(np.subtract(shared[0], shared[1]), axis=0)))
 
 
 def _is_goal(bag: Container, topic: str) -> bool:

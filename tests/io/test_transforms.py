@@ -1,5 +1,6 @@
 """Frames of recordings: mounts through chains and on /tf, gimbals, several sensors, worlds, and clouds in the world."""
 
+import re
 import time
 from types import SimpleNamespace
 
@@ -615,3 +616,29 @@ def test_transforms_that_stay_may_have_another_namespace(tmp_path):
     bag = Bagged(tmp_path / "a.mcap").clouds().moving("odom", "base_link")
     flight = read_flight(bag.tf("base_link", "tof", MOUNT, topic="/uav1/tf_static").write())
     np.testing.assert_allclose(flight.T_drone_sensor, MOUNT, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("frame", "says"),
+    [
+        ("down_camera", "are left out: they are in down_camera, which moves with base_link"),
+        ("base_link", "are left out: they are in base_link itself, and 5 m from it on tf"),
+        ("odom", "are 5 m from those of tf \\(--poses 'odom>base_link' takes these\\)"),
+        ("camera", "are 5 m from those of tf \\(--poses 'odom>base_link' takes these\\)"),
+    ],
+)
+def test_poses_of_something_else_give_way_to_tf_or_are_told(tmp_path, frame, says):
+    aside = poses(5).T_world_drone.copy()
+    aside[:, :3, 3] += (3, 4, 0)
+    other = SimpleNamespace(stamp_s=poses(5).stamp_s, T_world_drone=aside)
+    bag = (
+        Bagged(tmp_path / "a.mcap")
+        .clouds()
+        .tf("base_link", "tof", MOUNT)
+        .tf("base_link", "down_camera", T_of((0, 0, -1)))
+    )
+    bag.moving("odom", "base_link").odometry("/tag", other, "", POSE_STAMPED, frame)
+    flight = read_flight(bag.write())
+    assert re.search(f"poses of /tag {says}", flight.facts["notes"])
+    expected = poses(5).T_world_drone if "left out" in says else aside
+    np.testing.assert_allclose(flight.prior.T_world_drone, expected, atol=1e-9)
