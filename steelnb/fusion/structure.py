@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from steelnb.core.arguments import checks_arguments
 from steelnb.core.checks import check_length, checked_kind
+from steelnb.core.errors import InputError
 from steelnb.core.segments import check_columns
 from steelnb.core.types import Array, IntArray, Segments
 
@@ -41,6 +42,11 @@ class Structure:
             check_length(getattr(self, name), f"Structure.{name}", bars, "one a bar")
         check_columns(self, joint=3)
         check_columns(self, tie=2)
+        for name in ("opening", "tube"):
+            if getattr(self, name) is not None:
+                check_length(getattr(self, name), f"Structure.{name}", bars, "one a bar")
+        if len(self.tie) and not ((self.tie >= 0) & (self.tie < (len(self.joint), bars))).all():
+            raise InputError(f"Structure.tie: expected numbers of {len(self.joint)} joints and {bars} bars")
 
     def __len__(self) -> int:
         return len(self.segments)

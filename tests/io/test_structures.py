@@ -5,7 +5,9 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
+import pytest
 
+from steelnb.core.errors import InputError
 from steelnb.core.types import Segments
 from steelnb.fusion.structure import Structure
 from steelnb.io import write_segments, write_structure
@@ -39,3 +41,15 @@ def test_a_structure_keeps_all_digits_and_unknown_values_are_null(tmp_path: Path
     assert read["ties"] == [{"joint": 0, "bar": 0}, {"joint": 0, "bar": 1}]
     write_structure(Structure.empty("no bar"), tmp_path / "b.json")
     assert json.loads((tmp_path / "b.json").read_text())["reason"] == "no bar"
+
+
+def test_an_unknown_radius_is_null_and_ties_to_nothing_are_refused(tmp_path: Path) -> None:
+    bars = Segments(START, END, np.array([900, 400]), np.array([np.nan, 0.01]))
+    write_structure(Structure.of(bars), tmp_path / "a.json")
+    assert [bar["radius_m"] for bar in json.loads((tmp_path / "a.json").read_text())["bars"]] == [None, 0.01]
+    parts = {"width_m": np.ones(2), "sightings": np.ones(2, int), "sigma_m": np.ones(2), "joint": np.zeros((1, 3))}
+    for tie in ([[1, 0]], [[0, 2]], [[-1, 0]]):
+        with pytest.raises(InputError, match=r"Structure.tie: expected numbers of 1 joints and 2 bars"):
+            Structure(bars, tie=np.array(tie), **parts)
+    with pytest.raises(InputError, match=r"Structure.tube"):
+        Structure(bars, tie=np.zeros((0, 2), int), tube=np.ones(3, bool), **parts)

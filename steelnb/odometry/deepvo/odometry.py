@@ -53,7 +53,7 @@ def derotated(points: Array, R_level_sensor: Array) -> np.ndarray:
             weight, at = share_row * share_column, cell + by_row * width + by_column
             image[0] += np.bincount(at, weight, image.shape[1])
             image[1] += np.bincount(at, weight * inverse, image.shape[1])
-    image *= ROWS * COLUMNS / count
+    image *= ROWS * COLUMNS / max(count, 1)
     return image.reshape(2, ROWS + 2, width)[:, 1:-1, 1:-1].astype(np.float32)
 
 
