@@ -142,9 +142,10 @@ def by_condition(table: pd.DataFrame) -> pd.DataFrame:
 
 
 def tuning_table(frames: Sequence[FrameScene], dx_m: Sequence[float], min_votes: Sequence[int]) -> pd.DataFrame:
-    """Recall and precision of the Hough transform in each frame with each ``dx`` and minimum number of votes.
+    """Recall and precision of the Hough transform, means over the frames, with each ``dx`` and minimum number of votes.
 
     Beside the given ``dx_m``, ``dx (cm)`` names the default of `detect_segments` and that of the reference program.
+    ``line`` is the same for all that are given, which a curve may connect.
     """
     rows = []
     for frame in frames:
@@ -152,8 +153,10 @@ def tuning_table(frames: Sequence[FrameScene], dx_m: Sequence[float], min_votes:
         widths["diag.\n/ 64"] = float(np.linalg.norm(np.ptp(frame.points, axis=0))) / 64
         for votes, (name, width) in itertools.product(min_votes, widths.items()):
             score = attempt("hough", frame, points_min=votes, dx=width).score
-            rows.append({"votes": votes, "dx (cm)": name, "recall": score.recall, "precision": score.precision})
-    return pd.DataFrame(rows).fillna({"precision": 0.0})  # of no segment at all
+            numbers = {"recall": score.recall, "precision": score.precision}
+            rows.append({"votes": votes, "dx (cm)": name, "line": name if "\n" in name else "given", **numbers})
+    each = pd.DataFrame(rows).fillna({"precision": 0.0})  # of no segment at all
+    return each.groupby(["votes", "dx (cm)", "line"], sort=False).mean().reset_index()
 
 
 def trial_timing(trials: Iterable[Trial]) -> pd.DataFrame:
