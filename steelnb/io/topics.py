@@ -20,8 +20,9 @@ PACKED = {
     "sensor_msgs/msg/PointCloud": "an old PointCloud; expected PointCloud2 (ROS 1: point_cloud_converter)",
 }
 """Messages of scans that are not read, by patterns of their types: what they are, and the remedy."""
-SELDOM = 2
-"""A sensor sends at least one of so many scans as clouds, if it does: fewer clouds are of a map, or of features."""
+CLOUDS_MIN, SELDOM = 3, 20
+"""Clouds are of a map if they are fewer than the first and than half of the scans in other messages, or fewer than one
+in so many of these: a LiDAR of 10 Hz beside depth images at 90 Hz is none."""
 NO_DEPTH = {"confidence", "ir", "infra", "infrared", "amplitude", "intensity", "disparity"}
 """Words in the names of topics whose images have the encoding of depth but hold something else."""
 LOOKED_AT = 10
@@ -34,10 +35,9 @@ def scan_topic(bag: Container, name: str | None) -> str:
     for pattern, words in PACKED.items():
         found = [topic for topic, kind in bag.types.items() if re.fullmatch(pattern, kind)]
         packed |= {t: words for t in found if bag.types[t] != ros.COMPRESSED_IMAGE or "depth" in t.lower()}
-    seldom = (
-        not name and bool(clouds) and max(map(bag.count, clouds)) * SELDOM < max(map(bag.count, _scans(bag, packed)))
-    )
-    clouds = [] if seldom else clouds  # of maps and features
+    if clouds and not name:
+        count, other = (max(map(bag.count, topics), default=0) for topics in (clouds, _other_scans(bag, packed)))
+        clouds = [] if count * (2 if count < CLOUDS_MIN else SELDOM) < other else clouds
     images, faults = depth_images(bag, name) if name or not clouds else ([], [])
     candidates = [*clouds, *images] if name else clouds or images
     if name in packed or (packed and not candidates):
@@ -48,9 +48,9 @@ def scan_topic(bag: Container, name: str | None) -> str:
     return bag.choose(SCANS, name, candidates)
 
 
-def _scans(bag: Container, packed: dict[str, str]) -> list[str]:
-    """Topics of clouds, of depth images and of packed scans."""
-    return [*bag.of_type(ros.CLOUD), *depth_images(bag, None)[0], *packed]
+def _other_scans(bag: Container, packed: dict[str, str]) -> list[str]:
+    """Topics of depth images and of packed scans."""
+    return [*depth_images(bag, None)[0], *packed]
 
 
 def depth_images(bag: Container, name: str | None) -> tuple[list[str], list[InputError]]:

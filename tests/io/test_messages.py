@@ -277,6 +277,10 @@ def test_a_map_and_images_of_other_things_are_no_scans(tmp_path):
     flight = read_flight(bag.clouds("/octomap_point_cloud_centers", stamps=[0.0, 0.8], frame="map").write())
     assert flight.facts["scans"] == "/depth/image (Image)"
     assert len(flight) == 5
+    beside = Bagged(tmp_path / "b.mcap").images("/depth/image", depth_mm, "16UC1", stamps=0.02 * np.arange(40)).camera()
+    lidar = read_flight(beside.clouds("/lidar").odometry().write())
+    assert lidar.facts["scans"] == "/lidar (PointCloud2)"
+    assert len(lidar) == 5
 
 
 def test_mutated_headers_end_in_points_or_in_a_fault():
