@@ -24,6 +24,7 @@ OF_KITTI = "as numpy.save writes it of KITTI's numpy.fromfile(FILE, 'f4').reshap
 ALIKE = "expected names that differ in numbers alone"
 TRAJECTORIES = (".tum", ".txt", ".csv")
 """Suffixes of files that may be trajectories."""
+COMPRESSED = (".gz", ".bz2", ".xz", ".zst", ".zip", ".7z")
 STRAY_SHARE = 0.1
 """Clouds with names of another form are no scans if they are fewer than this share of the scans, or a single one."""
 
@@ -120,12 +121,10 @@ def _scans(folder: Path) -> tuple[list[Path], list[Path]]:
 
 
 def _alike(folder: Path, scan: Path) -> set[Path]:
-    """Files that are named as the scans but have another ending, as where half of them are compressed."""
+    """Clouds that are named as the scans but have another ending, as where half of them are compressed."""
     form = NUMBER.sub("#", scan.stem)
-    if "#" not in form:
-        return set()
-    named = (file for file in folder.glob("[!.]*") if NUMBER.sub("#", file.name.partition(".")[0]) == form)
-    return {file for file in named if file.is_file()}
+    files = [file for file in folder.glob("[!.]*") if file.suffix.lower() in (*READERS, *COMPRESSED) and "#" in form]
+    return {file for file in files if NUMBER.sub("#", file.name.partition(".")[0]) == form and file.is_file()}
 
 
 def _texts(folder: Path) -> list[Path]:

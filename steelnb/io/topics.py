@@ -67,7 +67,7 @@ def depth_images(bag: Container, name: str | None) -> tuple[list[str], list[Inpu
             kind = depth_encoding(encoding)
             is_grey = kind == "mono16" and "depth" not in topic.lower()  # images in the infrared are mono16, too
             words = re.split(r"[^a-z]+", re.sub(r"depth_to_\w+", "depth", topic.lower()))
-            is_other = not NO_DEPTH.isdisjoint(words)
+            is_other = not NO_DEPTH.isdisjoint(words) and "depth" not in topic.lower().rpartition("/")[2]
             if topic == name or (kind in DEPTHS and not is_grey and not is_other):
                 found.append(topic)
                 break
