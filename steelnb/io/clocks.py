@@ -24,7 +24,7 @@ it is more than the third, and much more than the distances vary."""
 RIGHT_SHARE = 0.1
 """Minimum share of stamps with the clock of the poses, if most were taken before that clock was set."""
 SWAPPED_BY = 4
-"""Scans are swapped with others by at most so many places."""
+"""Maximum number of places by which scans may be out of order."""
 EVENER = 0.5
 """Digits without zeros before them are decimals of a second if they make the steps more even, by this factor."""
 FRACTIONS = {3: "ms", 6: "µs", 9: "ns"}

@@ -32,6 +32,8 @@ GAP_MAX_S, OVERLAP_MAX_S = 60.0, 0.5
 """Parts of one recording follow each other; farther apart, they are several recordings."""
 ENCODINGS = ("cdr", "ros1")
 """Encodings of messages that are read, of ROS 2 and of ROS 1."""
+NO_SCHEMA = "__schemaless__"
+"""What rosbags calls a type whose schema it has not found."""
 ZSTD, ZSTD_MAGIC = ".zstd", b"\x28\xb5\x2f\xfd"
 
 
@@ -174,8 +176,9 @@ class Part:
             with self._reader() as reader:
                 chunks = getattr(getattr(reader, "storage", None), "chunks", ())
                 self._is_scanned = any(not chunk.channel_count for chunk in chunks)  # no index of messages
-                self._is_scanned |= bool(chunks) and not all(each.msgtype for each in reader.connections)
-                self._is_scanned |= bool(chunks) and not reader.connections  # the summary need not repeat channels
+                known = [each.msgtype for each in reader.connections]
+                # A summary need repeat neither channels nor schemas.
+                self._is_scanned |= bool(chunks) and (not known or NO_SCHEMA in known)
                 held = [((each.topic, each.msgtype, _encoding(each)), each.msgcount) for each in reader.connections]
                 self.span_ns = reader.start_time, reader.end_time
         except Exception:  # of the library: no index, another profile, damage

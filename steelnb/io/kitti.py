@@ -6,17 +6,18 @@ import numpy as np
 
 from steelnb.core.types import Array
 from steelnb.io.table_form import read_table
+from steelnb.io.text import Table
 
 
-def stamps_beside(path: Path) -> Array:
-    """The stamps of the poses in ``path``, ``(N, 1)``. Raises ValueError."""
+def times_beside(path: Path) -> Table:
+    """The table of times.txt beside the poses in ``path``: one column, the stamps. Raises ValueError."""
     beside = path.with_name("times.txt")
     if not beside.is_file():
         raise ValueError("12 numbers per line (KITTI) without stamps; expected them in times.txt beside it")
     times = read_table(beside)
     if times.columns != 1:
         raise ValueError(f"times.txt beside it has {times.columns} numbers a line; expected one, the stamp")
-    return times.values([0])
+    return times
 
 
 def of_scanner(path: Path, rows: Array) -> Array:

@@ -21,8 +21,8 @@ PACKED = {
 }
 """Messages of scans that are not read, by patterns of their types: what they are, and the remedy."""
 CLOUDS_MIN, SELDOM = 3, 20
-"""Clouds are of a map if they are fewer than the first and than half of the scans in other messages, or fewer than one
-in so many of these: a LiDAR of 10 Hz beside depth images at 90 Hz is none."""
+"""Clouds are of a map if other messages hold more than `SELDOM` times as many scans, or more than twice as many if
+there are fewer than `CLOUDS_MIN` clouds. A LiDAR at 10 Hz may stand beside depth images at 90 Hz."""
 NO_DEPTH = {"confidence", "ir", "infra", "infrared", "amplitude", "intensity", "disparity"}
 """Words in the names of topics whose images have the encoding of depth but hold something else."""
 LOOKED_AT = 10
@@ -35,10 +35,12 @@ def scan_topic(bag: Container, name: str | None) -> str:
     for pattern, words in PACKED.items():
         found = [topic for topic, kind in bag.types.items() if re.fullmatch(pattern, kind)]
         packed |= {t: words for t in found if bag.types[t] != ros.COMPRESSED_IMAGE or "depth" in t.lower()}
-    if clouds and not name:
-        count, other = (max(map(bag.count, topics), default=0) for topics in (clouds, _other_scans(bag, packed)))
-        clouds = [] if count * (2 if count < CLOUDS_MIN else SELDOM) < other else clouds
-    images, faults = depth_images(bag, name) if name or not clouds else ([], [])
+    count = max(map(bag.count, clouds), default=0)
+    most = count * (2 if count < CLOUDS_MIN else SELDOM)
+    looks = bool(name) or any(bag.count(topic) > most for topic in bag.of_type(ros.IMAGE))
+    images, faults = depth_images(bag, name) if looks else ([], [])
+    if not name and any(bag.count(topic) > most for topic in (*images, *packed)):
+        clouds = []
     candidates = [*clouds, *images] if name else clouds or images
     if name in packed or (packed and not candidates):
         topic = name if name in packed else next(iter(packed))
@@ -46,11 +48,6 @@ def scan_topic(bag: Container, name: str | None) -> str:
     if faults and not candidates:
         raise faults[0]
     return bag.choose(SCANS, name, candidates)
-
-
-def _other_scans(bag: Container, packed: dict[str, str]) -> list[str]:
-    """Topics of depth images and of packed scans."""
-    return [*depth_images(bag, None)[0], *packed]
 
 
 def depth_images(bag: Container, name: str | None) -> tuple[list[str], list[InputError]]:

@@ -95,21 +95,21 @@ def _unnamed(path: Path, table: Table, skipped: Counter[str]) -> Array:
     if table.has_header:
         raise ValueError(f"columns {', '.join(table.names)[:80]}; expected {', '.join(TUM)}")
     count, other = len(table.own), "without names; expected 8, or 12 with times.txt beside it"
-    stamps = [kitti.stamps_beside(path)] if count == 12 else []
+    times = kitti.times_beside(path) if count == 12 else None
     if count not in (8, 12, 13, 17):
         raise ValueError(f"{count} numbers per line, {other}")
     rows = table.values(table.own)
     if count > 8:
-        if stamps and len(rows) != len(stamps[0]):
-            raise ValueError(f"{len(rows)} poses, {len(stamps[0])} stamps in times.txt; expected as many")
-        if stamps:
-            rows = np.column_stack([*stamps, kitti.of_scanner(path, rows)])
+        if times is not None:
+            if len(rows) != len(stamps := times.values([0])):
+                raise ValueError(f"{len(rows)} poses, {len(stamps)} stamps in times.txt; expected as many")
+            rows = np.column_stack([stamps, kitti.of_scanner(path, rows)])
         elif count == 17:
             rows = np.column_stack([rows[:, :1], pose_rows.of_transforms(rows[:, 1:])])
         if (xyzw := pose_rows.xyzw_of(rows[:, 1:13], 4)) is None:
-            other = "not rotations with translations (KITTI)" if stamps else other
+            other = "not rotations with translations (KITTI)" if times else other
             raise ValueError(f"{count} numbers per line, {other}")
-        stamp_s = rows[:, 0] if stamps else _seconds(rows[:, 0], "", table, table.own[0])
+        stamp_s = _seconds(rows[:, 0], "", times or table, 0 if times else table.own[0])
         return np.column_stack([stamp_s, rows[:, 4:13:4], xyzw])
     is_euroc = table.separator == "," and unit_of_stamps(rows[:, 0]) == "ns" and not table.said
     rows[:, 0] = _seconds(rows[:, 0], "", table, table.own[0])

@@ -38,7 +38,7 @@ def load_odometry(name: str) -> Callable[..., Odometry]:
             raise InputError(f"{name}: no file {module_name}; expected FILE.py:CLASS or MODULE:CLASS")
         folder, module_name = file.parent, file.stem
     sys.path.insert(0, str(folder))
-    with no_exit(f"{name}: module {module_name!r}", "its program below `if __name__ == '__main__':`"):
+    with users_code(f"{name}: module {module_name!r}", "its program below `if __name__ == '__main__':`"):
         try:
             module = importlib.import_module(module_name)
         except Exception as fault:  # the user's module may raise anything
@@ -66,19 +66,19 @@ def make_own(own: Callable[..., Odometry], flight: Flight) -> Odometry:
     names = [each.name for each in _parameters(own) if each.kind in BY_NAME]
     shared = {id(flight.images.images): flight.images.images} if flight.images else {}  # made or read on access
     given = {each: copy.deepcopy(getattr(flight, each), shared) for each in GIVEN if each in names}
-    with no_exit(f"{name}: its constructor"):
+    with users_code(f"{name}: its constructor"):
         return own(**given)
 
 
 @contextmanager
-def no_exit(what: str, expected: str = "no exit") -> Iterator[None]:
-    """Raise `InputError` where a user's code fails, with the line, or would end the process, often with the code of
-    success. ``what``: that code."""
+def users_code(what: str, expected: str = "no exit") -> Iterator[None]:
+    """Raise `InputError` if a user's code raises anything, with the line, or would end the process, often with the code
+    of success. ``what``: that code."""
     try:
         yield
     except SteelnbError:
         raise
-    except Exception as fault:
+    except Exception as fault:  # it may raise anything
         last = traceback.extract_tb(fault.__traceback__)[-1]
         said = f"{type(fault).__name__}: {fault}".removesuffix(": ")
         raise InputError(f"{what} raises {said} ({last.filename}, line {last.lineno})") from fault

@@ -14,7 +14,7 @@ from steelnb.core.errors import InputError
 from steelnb.core.estimates import Estimate, OdometryStep
 from steelnb.core.types import Flight, Scan, Segments, Trajectory
 from steelnb.odometry.base import Odometry
-from steelnb.odometry.plugins import no_exit
+from steelnb.odometry.plugins import users_code
 
 OnStep = Callable[[int, Scan, OdometryStep], None]
 
@@ -49,7 +49,7 @@ def run(flight: Flight, odometry: Odometry, on_step: OnStep | None = None, befor
         given = (scan if is_ours else copy.deepcopy(scan)), flight.prior.T_world_drone[k].copy()  # which it may change
         begin = time.perf_counter()
         try:
-            with nullcontext() if is_ours else no_exit("it", "an OdometryStep"):
+            with nullcontext() if is_ours else users_code("it", "an OdometryStep"):
                 step = odometry.update(*given)
             update_s[k] = time.perf_counter() - begin
             # Checked again, as the odometry may have changed the array since.
@@ -91,7 +91,7 @@ def _map_of(odometry: Odometry, method: str, default: Any) -> Any:
     found, name = getattr(odometry, method, None), f"{type(odometry).__name__}.{method}()"
     if not callable(found):
         return default
-    with no_exit(name):
+    with users_code(name):
         value = found()
     if not isinstance(default, Segments):
         return checked_points(value, name)

@@ -302,3 +302,11 @@ def test_coordinates_from_the_centre_of_the_earth_are_refused() -> None:
         trajectory_of("a", rows, Counter())
     rows[:, 1:4] = 500_000, 6_350_000, 120  # UTM, as far from its origin
     assert len(trajectory_of("a", rows, Counter())) == 20
+
+
+@pytest.mark.parametrize("unit", [1.0, 1e9])
+def test_the_times_beside_kittis_poses_may_be_nanoseconds(unit: float, tmp_path: Path) -> None:
+    flown, begin = poses(6), 1_700_000_000
+    np.savetxt(tmp_path / "poses.txt", flown.T_world_drone[:, :3].reshape(-1, 12))
+    (tmp_path / "times.txt").write_text("".join(f"{(begin + stamp_s) * unit:.0f}\n" for stamp_s in 5 * flown.stamp_s))
+    np.testing.assert_allclose(read_trajectory(tmp_path / "poses.txt").stamp_s, begin + 5 * flown.stamp_s, atol=1e-6)
