@@ -24,6 +24,7 @@ from steelnb.settings.odometry import (
     SegmentSettings,
 )
 from steelnb.settings.presets import METHODS, SENSORS, TOWERS, read_tables
+from steelnb.settings.recording import RecordingOptions
 from steelnb.settings.report_plots import read_report_plots
 from steelnb.settings.sensors import CameraSettings, ImuSettings, TofFault, TofSettings
 from steelnb.settings.stages import FusionSettings, HoughSettings, PreprocessSettings, StructureSettings
@@ -35,7 +36,7 @@ __all__ = [
     "METHODS", "REPORT_NOISE", "SENSORS", "TOWERS", "TRAJECTORIES", "CameraSettings", "CloudSettings", "DeepVoSettings",
     "ExperimentSettings", "FaceSettings", "FlightSettings", "FusionSettings", "HoughSettings", "ImuSettings",
     "LibrarySettings", "LoamSettings", "Noise", "OdometrySettings", "OrbSettings", "PreprocessSettings",
-    "RegistrationSettings", "ReportCloudSettings", "ReportSegmentSettings", "SegmentSettings", "Settings",
+    "RecordingOptions", "RegistrationSettings", "ReportCloudSettings", "ReportSegmentSettings", "SegmentSettings", "Settings",
     "StructureSettings", "TofFault", "TofSettings", "TowerSettings", "TrajectoryName", "parse_parameter",
     "read_report_plots", "read_tables",
 ]  # fmt: skip
