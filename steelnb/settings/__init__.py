@@ -36,7 +36,7 @@ __all__ = [
     "METHODS", "REPORT_NOISE", "SENSORS", "TOWERS", "TRAJECTORIES", "CameraSettings", "CloudSettings", "DeepVoSettings",
     "ExperimentSettings", "FaceSettings", "FlightSettings", "FusionSettings", "HoughSettings", "ImuSettings",
     "LibrarySettings", "LoamSettings", "Noise", "OdometrySettings", "OrbSettings", "PreprocessSettings",
-    "RecordingOptions", "RegistrationSettings", "ReportCloudSettings", "ReportSegmentSettings", "SegmentSettings", "Settings",
-    "StructureSettings", "TofFault", "TofSettings", "TowerSettings", "TrajectoryName", "parse_parameter",
+    "RecordingOptions", "RegistrationSettings", "ReportCloudSettings", "ReportSegmentSettings", "SegmentSettings",
+    "Settings", "StructureSettings", "TofFault", "TofSettings", "TowerSettings", "TrajectoryName", "parse_parameter",
     "read_report_plots", "read_tables",
 ]  # fmt: skip
