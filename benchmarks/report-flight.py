@@ -29,7 +29,7 @@ from steelnb.core.types import Array, IntArray, Scan
 from steelnb.odometry.report.segments import FLOOR_M, NO_FLOOR_M, sorted_segments
 from steelnb.points import preprocess_scan
 from steelnb.settings import ExperimentSettings, HoughSettings, TowerSettings
-from steelnb.settings.presets import sensor_preset
+from steelnb.settings.presets import sensor_tables
 from steelnb.simulation import build_tower
 from steelnb.simulation.raycasting import cast_rays, make_scene, rays
 from steelnb.simulation.tof import measured_ranges, reported_rays
@@ -92,7 +92,7 @@ def fine_poses(path: Array) -> Array:
 def view(tower: Tower, poses: Array, published: Array) -> Views:
     """Scan the pole from each pose, and match the program's segments to the ``published (230, 2, 3)``."""
     settings = ExperimentSettings.preset("vertical", "none", "report-segments", "report", "report")
-    tof, hough = settings.tof, HoughSettings(**sensor_preset("report")["hough"]).replace(granularity=4)
+    tof, hough = settings.tof, HoughSettings(**sensor_tables("report")["hough"]).replace(granularity=4)
     preprocess = settings.odometry.preprocess.replace(floor_m=NO_FLOOR_M)
     scene, ray, reported, noise = make_scene(tower), rays(tof), reported_rays(tof), rng.stream(0, "tof")
     lines: list[int] = []

@@ -153,13 +153,13 @@ def record(
         from steelnb.io import write_flight
         from steelnb.io.bag_writer import check_target
         from steelnb.io.recordings import truth_path
-        from steelnb.settings.experiment import ARGUMENTS, ExperimentSettings, overridden
+        from steelnb.settings import ExperimentSettings
 
-        options: dict[str, Any] = {"trajectory": trajectory, "sensor": sensor, "seed": seed}
-        options["overrides"] = overrides = _overrides(changed)
-        for name, value, usual in (("duration_s", duration, 60.0), ("noise", noise, "random-walk:0.002")):
-            options[name] = overridden(overrides, ARGUMENTS[name], usual) if value is None else value
-        settings = ExperimentSettings.preset(**options)
+        overrides = _overrides(changed)
+        if duration is None and not {"flight", "flight.duration_s"} & overrides.keys():
+            duration = 60.0
+        options: dict[str, Any] = {"trajectory": trajectory, "noise": noise, "sensor": sensor, "seed": seed}
+        settings = ExperimentSettings.preset(**options, duration_s=duration, overrides=overrides)
         idle = [name for name in overrides if ExperimentSettings.table_of(name) == "odometry"]
         if idle and trajectory != "planned":
             raise InputError(f"{idle[0]}: a setting of the odometry changes nothing in a recording; give it to `run`")

@@ -33,7 +33,7 @@ LINKING = ("README.md", "results/README.md", "benchmarks/README.md", "CONTRIBUTI
 LINK = re.compile(r"""\]\(([^)#:\s]+)[^):]*\)|src="([^"]+)\"""")
 WITH_EXAMPLES = (
     "steelnb.hough.lines", "steelnb.hough.segments", "steelnb.registration.icp", "steelnb.settings.experiment",
-    "steelnb.settings.noise",
+    "steelnb.settings.world",
 )  # fmt: skip
 
 

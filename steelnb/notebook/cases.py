@@ -8,7 +8,6 @@ from steelnb.core import rng
 from steelnb.core.checks import shown
 from steelnb.core.errors import InputError
 from steelnb.settings import ExperimentSettings, TrajectoryName
-from steelnb.settings.experiment import overridden
 from steelnb.settings.report_plots import ReportPlot, read_report_plots
 
 PAIR = "max_correspondence_m"
@@ -24,10 +23,9 @@ def joined(changes: Mapping[str, Any], overrides: Mapping[str, Any], case: str) 
     """The changes that make a case what its name says, with a reader's ``overrides``. Raises `InputError` for an
     override of one of these."""
     for name, value in changes.items():
-        if (again := overridden(overrides, name, None)) is not None:
-            raise InputError(
-                f"overrides: {name} = {shown(again)}: {case!r} sets it to {shown(value)}; leave out one of them"
-            )
+        if name in overrides:
+            own = f"overrides: {name} = {shown(overrides[name])}"
+            raise InputError(f"{own}: {case!r} sets it to {shown(value)}; leave out one of them")
     return {**changes, **overrides}
 
 
@@ -145,6 +143,6 @@ def planner_cases(
     cases = {}
     for name in flights:
         trajectory, changes = PLANNER_FLIGHTS[name]
-        own = joined({"flight.trajectory": trajectory, **changes}, overrides, name)
+        own = joined(changes, overrides, name)
         cases[name] = ExperimentSettings.preset(trajectory, noise, method, sensor, seed, duration_s, own)
     return cases

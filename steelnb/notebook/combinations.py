@@ -27,7 +27,7 @@ from steelnb.notebook.cases import (
 from steelnb.notebook.sources import READ_NAMES, check_source
 from steelnb.settings import METHODS, TOWERS, ExperimentSettings, OrbSettings
 from steelnb.settings.experiment import ARGUMENTS, check_given_once
-from steelnb.settings.noise import Noise, at_level
+from steelnb.settings.world import Noise, at_level
 
 WORLD = "seed", "duration_s", "overrides", "tower"
 BASIN = "trajectory", "noise", "sensor", "correspondence_m", *WORLD

@@ -18,7 +18,7 @@ from steelnb.plots import COLOURS, LABELS
 from steelnb.plots.flight import figure_flight
 from steelnb.plots.scene3d import HEIGHT_PX, figure_scene, plotly_bundle
 from steelnb.settings import METHODS, SENSORS, TRAJECTORIES, ExperimentSettings
-from steelnb.settings.noise import at_level
+from steelnb.settings.world import at_level
 
 if TYPE_CHECKING:
     from plotly.graph_objects import Figure as PlotlyFigure

@@ -6,10 +6,8 @@ method. Lengths are in metres, angles in radians, times in seconds; the unit is 
 
 from typing import get_args
 
-from steelnb.settings.base import Settings, parse_parameter
+from steelnb.settings.base import Settings, parse_parameter, read_tables
 from steelnb.settings.experiment import ExperimentSettings
-from steelnb.settings.flight import FlightSettings, TrajectoryName
-from steelnb.settings.noise import REPORT_NOISE, Noise
 from steelnb.settings.odometry import (
     CloudSettings,
     DeepVoSettings,
@@ -22,13 +20,23 @@ from steelnb.settings.odometry import (
     ReportCloudSettings,
     ReportSegmentSettings,
     SegmentSettings,
+    SensorPreset,
 )
-from steelnb.settings.presets import METHODS, SENSORS, TOWERS, read_tables
+from steelnb.settings.presets import METHODS, SENSORS, TOWERS
 from steelnb.settings.recording import RecordingOptions
 from steelnb.settings.report_plots import read_report_plots
-from steelnb.settings.sensors import CameraSettings, ImuSettings, TofFault, TofSettings
 from steelnb.settings.stages import FusionSettings, HoughSettings, PreprocessSettings, StructureSettings
-from steelnb.settings.tower import TowerSettings
+from steelnb.settings.world import (
+    REPORT_NOISE,
+    CameraSettings,
+    FlightSettings,
+    ImuSettings,
+    Noise,
+    TofFault,
+    TofSettings,
+    TowerSettings,
+    TrajectoryName,
+)
 
 TRAJECTORIES: tuple[TrajectoryName, ...] = get_args(TrajectoryName)
 
@@ -37,6 +45,6 @@ __all__ = [
     "ExperimentSettings", "FaceSettings", "FlightSettings", "FusionSettings", "HoughSettings", "ImuSettings",
     "LibrarySettings", "LoamSettings", "Noise", "OdometrySettings", "OrbSettings", "PreprocessSettings",
     "RecordingOptions", "RegistrationSettings", "ReportCloudSettings", "ReportSegmentSettings", "SegmentSettings",
-    "Settings", "StructureSettings", "TofFault", "TofSettings", "TowerSettings", "TrajectoryName", "parse_parameter",
-    "read_report_plots", "read_tables",
+    "SensorPreset", "Settings", "StructureSettings", "TofFault", "TofSettings", "TowerSettings", "TrajectoryName",
+    "parse_parameter", "read_report_plots", "read_tables",
 ]  # fmt: skip

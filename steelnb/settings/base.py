@@ -5,15 +5,16 @@ import json
 import math
 import re
 import tomllib
-from typing import Annotated, Any, ClassVar, Self, get_args
+from pathlib import Path
+from typing import Annotated, Any, ClassVar, Self, TypeVar, get_args
 
 import numpy as np
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 
 from steelnb.core import rng
-from steelnb.core.arguments import checks_arguments
 from steelnb.core.checks import checked_kind, guess, shown
 from steelnb.core.errors import InputError
+from steelnb.settings.presets import read_toml
 
 
 def _usable(value: float) -> float:
@@ -103,6 +104,22 @@ class Settings(BaseModel):
         return changed.replace(**{**changes, **tables})
 
 
+S = TypeVar("S", bound=Settings)
+
+
+def read_tables(path: Path, kind: type[S], expected: str) -> dict[str, S]:
+    """The tables of a TOML file by name, each as settings of one ``kind``. Raises `InputError`."""
+    found = {}
+    for name, table in read_toml(path, expected).items():
+        if not isinstance(table, dict):
+            raise InputError(f"{path}: [{name}]: {shown(table)}: expected a table")
+        try:
+            found[name] = kind(**table)
+        except InputError as fault:
+            raise InputError(f"{path}: [{name}]: {fault}") from None
+    return found
+
+
 class FrozenDict(dict[Any, Any]):
     """A table within frozen settings: it does not change, and it can be hashed."""
 
@@ -181,7 +198,6 @@ def setting_names(kind: type[Settings]) -> list[str]:
     return names
 
 
-@checks_arguments
 def parse_parameter(text: str) -> tuple[str, Any]:
     """Parse ``NAME=VALUE``: the value is a Python literal, else a TOML value, else text. Raises `InputError`."""
     name, equals, value = (piece.strip() for piece in text.partition("="))

@@ -11,13 +11,25 @@ from steelnb.core import rng
 from steelnb.core.checks import checked_kind, shown
 from steelnb.core.errors import InputError
 from steelnb.settings.base import OrNone, SeedOrReport, Settings
-from steelnb.settings.flight import REST_S, FlightSettings, TrajectoryName
-from steelnb.settings.noise import Noise
-from steelnb.settings.odometry import Family, OdometrySettings, OrbSettings, ReportCloudSettings, of_its_method
+from steelnb.settings.odometry import (
+    Family,
+    OdometrySettings,
+    OrbSettings,
+    ReportCloudSettings,
+    SensorPreset,
+    of_its_method,
+)
 from steelnb.settings.presets import NameOrPath
 from steelnb.settings.report_plots import STEP_S, ReportPlot
-from steelnb.settings.sensors import ImuSettings, TofSettings
-from steelnb.settings.tower import TowerSettings
+from steelnb.settings.world import (
+    REST_S,
+    FlightSettings,
+    ImuSettings,
+    Noise,
+    TofSettings,
+    TowerSettings,
+    TrajectoryName,
+)
 
 SCANS_MIN = 2
 """The first scan becomes the map, so only the second one can have an error."""
@@ -113,21 +125,21 @@ class ExperimentSettings(Settings):
         >>> settings.tof.rate_hz, settings.odometry.dof
         (10.0, 'xyz_yaw')
         """
-        odometry, imu = OdometrySettings.preset(method, sensor), ImuSettings.preset(sensor)
-        overrides = {} if overrides is None else overrides
+        own, odometry = SensorPreset.read(sensor), OdometrySettings.preset(method, sensor)
+        overrides = {} if overrides is None else checked_kind(overrides, "overrides", dict)
         given = {"trajectory": trajectory, "noise": noise, "seed": seed, "duration_s": duration_s, "tower": tower}
         check_given_once(overrides, given)
         trajectory = "zigzag" if trajectory is None else trajectory
-        of_flight = {"still_s": REST_S} if imu and trajectory in ("zigzag", "loops") else {}
-        of_flight |= {name.removeprefix("flight."): value for name, value in _of_flight(overrides).items()}
+        of_flight = {"still_s": REST_S} if own.imu and trajectory in ("zigzag", "loops") else {}
+        of_flight |= {name[7:]: value for name, value in overrides.items() if str(name).startswith("flight.")}
         settings = cls.model_construct(  # checked when they are changed
             sensor=sensor,
             noise_name="random-walk" if noise is None else noise,
             seed=1 if seed is None else seed,
             tower=TowerSettings.of_flight(trajectory) if tower is None else TowerSettings.preset(tower),
             flight=FlightSettings.preset(trajectory, duration_s, of_flight),
-            tof=TofSettings.preset(sensor),
-            imu=imu,
+            tof=own.tof,
+            imu=own.imu,
             odometry=odometry,
         )
         return settings.override(overrides)
@@ -157,23 +169,26 @@ class ExperimentSettings(Settings):
         ('report', 'random-walk', 202)
         """
         plot = ReportPlot.find(figure, trajectory, method, run)
-        overrides = {} if overrides is None else overrides
+        overrides = {} if overrides is None else checked_kind(overrides, "overrides", dict)
         own = {"tof.samples": plot.name} | ({} if plot.still_s is None else {"flight.still_s": plot.still_s})
-        usual_s = overridden(overrides, ARGUMENTS["duration_s"], plot.duration_s)
+        own = {name: value for name, value in own.items() if name.partition(".")[0] not in overrides}
+        if duration_s is None and not {"flight", "flight.duration_s"} & overrides.keys():
+            duration_s = plot.duration_s
         settings = cls.preset(
-            plot.flight or plot.trajectory, plot.noise if noise is None else noise,  # type: ignore[arg-type]
-            method if odometry is None else odometry, sensor, "report" if seed is None else seed,
-            usual_s if duration_s is None else duration_s, own | _of_flight(overrides), tower,
-        )  # fmt: skip
-        if isinstance(settings.odometry, ReportCloudSettings):
-            settings = settings.override({"broken_off_s": plot.broken_off_s})
-        given = {"noise": noise, "seed": seed, "duration_s": duration_s, "tower": tower}
-        check_given_once(overrides, {"trajectory": settings.flight.trajectory, **given})
-        settings = settings.override(overrides)
-        rate_hz = overridden(overrides, "tof.rate_hz", None)
-        if rate_hz is not None and settings.tof.samples:
+            plot.flight or plot.trajectory,  # type: ignore[arg-type]
+            plot.noise if noise is None and "noise_name" not in overrides else noise,
+            method if odometry is None else odometry,
+            sensor,
+            "report" if seed is None and "seed" not in overrides else seed,
+            duration_s,
+            {**own, **overrides},
+            tower,
+        )
+        if settings.tof.samples and "tof.rate_hz" in overrides:
             what = "the scans are those of the report's plot; leave it out, or give tof.samples = [], too"
-            raise InputError(f"tof.rate_hz = {shown(rate_hz)}: {what}")
+            raise InputError(f"tof.rate_hz = {shown(overrides['tof.rate_hz'])}: {what}")
+        if isinstance(settings.odometry, ReportCloudSettings) and "broken_off_s" not in overrides:
+            settings = settings.override({"broken_off_s": plot.broken_off_s})
         return settings
 
     @classmethod
@@ -197,9 +212,10 @@ class ExperimentSettings(Settings):
                 )
             table = self.table_of(checked_kind(path, "a name in overrides", str))
             named = path == "tower" and isinstance(value, str)
-            full[path if path.partition(".")[0] == table else f"odometry.{path}"] = (
-                TowerSettings.preset(value) if named else value
-            )
+            name = path if path.partition(".")[0] == table else f"odometry.{path}"
+            if name in full:
+                raise InputError(f"overrides: {path} is given twice, also with odometry.; expected it once")
+            full[name] = TowerSettings.preset(value) if named else value
         return super().override(full)
 
 
@@ -210,29 +226,11 @@ ARGUMENTS = {
 """Argument of `ExperimentSettings.preset` → its name in overrides. A method or sensor is chosen by its preset alone."""
 
 
-def overridden(overrides: Mapping[str, Any], name: str, value: Any) -> Any:
-    """What the overrides set a dotted ``name`` to, on its own or in a whole table; else ``value``."""
-    table, _, setting = name.partition(".")
-    whole = overrides.get(table) if setting else None
-    if table == "flight" and isinstance(whole, dict):
-        whole = FlightSettings(**whole)  # the rest of a whole table has its default, which replaces the argument
-    inner = dict(whole) if isinstance(whole, dict | Settings) else {}
-    return overrides.get(name, inner.get(setting, value))
-
-
-def _of_flight(overrides: Mapping[str, Any]) -> dict[str, Any]:
-    """The overrides of single settings of the flight."""
-    checked_kind(overrides, "overrides", dict)
-    return {name: value for name, value in overrides.items() if str(name).startswith("flight.")}
-
-
-def check_given_once(overrides: dict[str, Any], arguments: Mapping[str, Any]) -> None:
-    """Raise `InputError` if one of the `ARGUMENTS` has another value in the overrides, and if these name a setting
-    twice. None: not given."""
-    full = [str(name).removeprefix("odometry.") for name in checked_kind(overrides, "overrides", dict)]
-    if twice := [name for name in full if full.count(name) > 1]:
-        raise InputError(f"overrides: {twice[0]} and odometry.{twice[0]} are the same: expected one of them")
+def check_given_once(overrides: Mapping[str, Any], arguments: Mapping[str, Any]) -> None:
+    """Raise `InputError` if one of the `ARGUMENTS` is given and in the overrides, too, also as part of a whole table.
+    None: not given."""
     for name, value in arguments.items():
-        again = overridden(overrides, ARGUMENTS[name], value)
-        if value is not None and again is not value and np.any(again != value):  # NaN differs from itself
-            raise InputError(f"{name} = {shown(value)}, and {shown(again)} in the overrides: expected one {name}")
+        full = ARGUMENTS[name]
+        for again in {full, full.partition(".")[0]} & overrides.keys() if value is not None else ():
+            told = f"{name} = {shown(value)}, and overrides with {again} = {shown(overrides[again])}"
+            raise InputError(f"{told}: expected {name} once")

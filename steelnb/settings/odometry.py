@@ -2,19 +2,16 @@
 
 import math
 from abc import abstractmethod
-from collections.abc import Mapping
-from contextlib import suppress
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal, Self, get_args
 
-from pydantic import AfterValidator, Field, ValidationInfo, model_validator
+from pydantic import AfterValidator, Field, model_validator
 
-from steelnb.core.checks import quoted
 from steelnb.core.errors import InputError
 from steelnb.settings.base import NotNegative, OrNone, Positive, Settings, VoxelEdge
-from steelnb.settings.presets import method_preset, sensor_preset
-from steelnb.settings.sensors import ImuSettings
+from steelnb.settings.presets import method_table, sensor_tables
 from steelnb.settings.stages import FusionSettings, HoughSettings, PreprocessSettings
+from steelnb.settings.world import ImuSettings, TofSettings
 
 SegmentMethod = Literal["none", "average", "least_squares", "least_squares_yaw"]
 
@@ -65,14 +62,16 @@ class OdometrySettings(Settings):
         >>> settings.family, settings.map_voxel_m
         ('faces', 0.1)
         """
-        of_sensor = sensor_preset(sensor)
-        kind, values = of_method(method, of_sensor.get("methods", {}))
-        shared = [name for name in ("hough", "fusion") if name in kind.model_fields]
-        values |= {name: of_sensor.get(name, {}) | values.get(name, {}) for name in shared}
-        crop = of_sensor.get("preprocess", {}).get("segments" if "hough" in kind.model_fields else "clouds", {})
-        values["preprocess"] = crop | values.get("preprocess", {})
+        own = SensorPreset.read(sensor)
+        kind, values = of_method(method, own.methods)
+        segments = "hough" in kind.model_fields
+        for name in ("hough", "fusion"):
+            if name in kind.model_fields:
+                values[name] = getattr(own, name).model_dump() | values.get(name, {})
+        crop = own.preprocess.segments if segments else own.preprocess.clouds
+        values["preprocess"] = crop.model_dump() | values.get("preprocess", {})
         if kind in (FaceSettings, OrbSettings):
-            values.setdefault("inertial", of_sensor.get("imu"))
+            values.setdefault("inertial", own.imu)
         return kind(**values).override({} if overrides is None else overrides)
 
 
@@ -216,21 +215,50 @@ FAMILIES: dict[str, type[Family]] = {kind.family: kind for kind in get_args(Fami
 """Family → its settings."""
 
 
-def of_method(method: str, of_sensor: Mapping[str, dict[str, Any]]) -> tuple[type[Family], dict[str, Any]]:
-    """The class of a method's settings, and those that its preset has, as for `method_preset`. Raises `InputError`."""
-    values = {"method": method, **method_preset(method, of_sensor)}
-    family = str(values.pop("family", None))
-    if family not in FAMILIES:
-        raise InputError(f"method {method!r}: family = {family!r}; expected one of {quoted(FAMILIES)}")
-    return FAMILIES[family], values
+def of_method(method: str, of_sensor: dict[str, dict[str, Any]]) -> tuple[type[Family], dict[str, Any]]:
+    """The class of a method's settings, and those that its preset and a sensor's (`method_table`) have. Raises
+    `InputError`."""
+    values = {"method": method, **method_table(method, of_sensor)}
+    return FAMILIES[values.pop("family")], values
 
 
-def of_its_method(value: Any, info: ValidationInfo) -> Any:
-    """A table of settings as those of its method's family, which tells the classes of `Family` apart; a sensor's own
-    methods are those of its preset."""
-    if not isinstance(value, dict):
-        return value
-    own: dict[str, Any] = {}
-    with suppress(InputError):  # a sensor's file may be elsewhere
-        own = sensor_preset(info.data.get("sensor", "")).get("methods", {})
-    return of_method(value.get("method"), own)[0](**value)  # type: ignore[arg-type]
+def of_its_method(value: Any) -> Any:
+    """A table of settings as those of its method's family, which tells the classes of `Family` apart."""
+    return of_method(value.get("method", ""), {})[0](**value) if isinstance(value, dict) else value
+
+
+class SensorPreprocess(Settings):
+    """The preprocessing that suits a sensor, for methods by clouds and for those by segments."""
+
+    clouds: PreprocessSettings = PreprocessSettings()
+    segments: PreprocessSettings = PreprocessSettings()
+
+
+class SensorPreset(Settings):
+    """A sensor with its IMU, if any, and the settings of the stages and methods that suit it: the tables of
+    ``presets/sensors/NAME.toml``, or of your own ``FILE.toml``. ``methods``: method → its settings that differ."""
+
+    tof: TofSettings = TofSettings()
+    imu: Annotated[ImuSettings | None, OrNone] = None
+    preprocess: SensorPreprocess = SensorPreprocess()
+    hough: HoughSettings = HoughSettings()
+    fusion: FusionSettings = FusionSettings()
+    methods: dict[str, dict[str, Any]] = Field(default_factory=dict)
+
+    @model_validator(mode="after")
+    def _has_good_methods(self) -> Self:
+        for name, changes in self.methods.items():
+            if "family" in changes or "based_on" in changes:
+                raise ValueError(f"methods.{name}: expected settings of the method, no family or based_on")
+            kind, values = of_method(name, self.methods)
+            kind(**values)
+        return self
+
+    @classmethod
+    def read(cls, sensor: str | Path) -> "SensorPreset":
+        """A preset, by name, or a file ``FILE.toml``. Raises `InputError`."""
+        tables = sensor_tables(sensor)
+        try:
+            return cls(**tables)
+        except InputError as fault:
+            raise InputError(f"{sensor}: {fault}") from None

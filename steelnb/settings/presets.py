@@ -1,22 +1,22 @@
-"""Presets: TOML files in ``steelnb/settings/presets``. A user can copy one, change it and pass its path."""
+"""Presets: TOML files in ``steelnb/settings/presets``, as tables. A user can copy one, change it and pass its path.
+
+The settings classes validate what is read here.
+"""
 
 import os
 import tomllib
-from collections.abc import Mapping
 from functools import cache
 from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, Any
 
 from pydantic import BeforeValidator
 
 from steelnb.core.checks import guess, quoted, shown
 from steelnb.core.errors import InputError
 from steelnb.core.files import reading
-from steelnb.settings.base import Settings, as_plain
 
 PRESETS = Path(__file__).parent / "presets"
 SENSORS = tuple(sorted(path.stem for path in (PRESETS / "sensors").glob("*.toml")))
-S = TypeVar("S", bound=Settings)
 
 
 def read_toml(path: Path | str, expected: str = "") -> dict[str, Any]:
@@ -30,19 +30,6 @@ def read_toml(path: Path | str, expected: str = "") -> dict[str, Any]:
         return tomllib.loads(text)
 
 
-def read_tables(path: Path, kind: type[S], expected: str) -> dict[str, S]:
-    """The tables of a TOML file by name, each as settings of one ``kind``. Raises `InputError`."""
-    found = {}
-    for name, table in read_toml(path, expected).items():
-        if not isinstance(table, dict):
-            raise InputError(f"{path}: [{name}]: {shown(table)}: expected a table")
-        try:
-            found[name] = kind(**table)
-        except InputError as fault:
-            raise InputError(f"{path}: [{name}]: {fault}") from None
-    return found
-
-
 def name_or_path(given: Any) -> Any:
     """The name of a preset, or of a file that may be given as its path."""
     return os.fspath(given) if isinstance(given, os.PathLike) else given
@@ -51,12 +38,12 @@ def name_or_path(given: Any) -> Any:
 NameOrPath = Annotated[str, BeforeValidator(name_or_path)]
 
 
-def sensor_preset(sensor: str | Path) -> dict[str, Any]:
-    """The tables of a sensor's preset or of a file ``FILE.toml``, all of them checked. Missing values come from the
-    preset that ``based_on`` names; ``imu = false`` is none. Raises `InputError`."""
+def sensor_tables(sensor: str | Path) -> dict[str, Any]:
+    """The tables of a sensor's preset, or of a file ``FILE.toml``, with those that it is ``based_on``. Raises
+    `InputError`."""
     sensor = name_or_path(sensor)
     if isinstance(sensor, str) and sensor.endswith(".toml"):
-        own = as_plain(read_toml(Path(sensor), "a sensor's preset"))
+        own = read_toml(sensor, "a sensor's preset")
     elif isinstance(sensor, str) and sensor in SENSORS:
         own = dict(_preset(f"sensors/{sensor}"))
     else:
@@ -65,14 +52,7 @@ def sensor_preset(sensor: str | Path) -> dict[str, Any]:
     base = own.pop("based_on", None)
     if base is not None and base not in SENSORS:
         raise InputError(f"{sensor}: based_on = {base!r}: expected one of {quoted(SENSORS)}")
-    tables = own if base is None else merged(sensor_preset(base), own)
-    if tables.get("imu") is False:
-        del tables["imu"]
-    if sensor not in SENSORS:
-        from steelnb.settings.sensor_files import check_sensor  # imports this module
-
-        check_sensor(sensor, tables)
-    return tables
+    return own if base is None else merged(sensor_tables(base), own)
 
 
 def preset_table(file: str, kind: str, name: str) -> dict[str, Any]:
@@ -81,7 +61,16 @@ def preset_table(file: str, kind: str, name: str) -> dict[str, Any]:
     if not isinstance(name, str) or name not in _preset(file):
         known = _preset(file)
         raise InputError(f"{kind} = {shown(name)}{guess(name, known)}; expected one of {quoted(known)}")
-    return _preset(file)[name]
+    return dict(_preset(file)[name])
+
+
+def method_table(method: str, of_sensor: dict[str, dict[str, Any]]) -> dict[str, Any]:
+    """The settings of a method, with those of the method that it is ``based_on``. ``of_sensor``: a sensor's changes, by
+    method. Raises `InputError`."""
+    own = preset_table("methods", "method", method)
+    base = own.pop("based_on", None)
+    own = merged(own, of_sensor.get(method, {}))
+    return merged(method_table(base, of_sensor), own) if base else own
 
 
 def members_file(members: str) -> Path:
@@ -91,14 +80,6 @@ def members_file(members: str) -> Path:
         names = quoted(sorted(known.stem for known in PRESETS.glob("*.csv")))
         raise InputError(f"tower.members = {members!r}: no such list; expected one of {names}, or a file FILE.csv")
     return path
-
-
-def method_preset(method: str, of_sensor: Mapping[str, dict[str, Any]]) -> dict[str, Any]:
-    """The settings of a method, including the method that it is ``based_on``. ``of_sensor``: the sensor preset's
-    additions, by method. Raises `InputError`."""
-    own = merged(preset_table("methods", "method", method), of_sensor.get(method, {}))
-    base = own.pop("based_on", None)
-    return merged(method_preset(base, of_sensor), own) if base else own
 
 
 def merged(base: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:
@@ -112,7 +93,7 @@ def merged(base: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:
 
 @cache
 def _preset(name: str) -> dict[str, Any]:
-    return dict(as_plain(read_toml(PRESETS / f"{name}.toml")))
+    return read_toml(PRESETS / f"{name}.toml")
 
 
 METHODS, TOWERS = (tuple(_preset(file)) for file in ("methods", "towers"))

@@ -7,7 +7,7 @@ from pydantic import Field, field_validator
 
 from steelnb.core.types import Array
 from steelnb.settings.base import Finite, Settings
-from steelnb.settings.sensors import CameraSettings
+from steelnb.settings.world import CameraSettings
 
 METRES = {"m": 1.0, "dm": 0.1, "cm": 0.01, "mm": 0.001, "ft": 0.3048, "in": 0.0254}
 """Units of length, metres."""

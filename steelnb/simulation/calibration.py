@@ -5,7 +5,7 @@ import numpy as np
 from steelnb.core import rng
 from steelnb.core.arguments import checks_arguments
 from steelnb.settings import TofSettings
-from steelnb.settings.calibration import fitted_calibration
+from steelnb.settings.world import fitted_calibration
 from steelnb.simulation.tof_faults import draw_faults, reported_range
 
 DISTANCES_M = np.arange(0.5, 4.01, 0.25)

@@ -21,7 +21,7 @@ from steelnb.core.graphs import connected
 from steelnb.core.types import Array
 from steelnb.settings import TowerSettings
 from steelnb.settings.presets import members_file
-from steelnb.settings.tower import Kind
+from steelnb.settings.world import Kind
 from steelnb.simulation.members import Member, make_member, unit
 
 COLUMNS = ["kind", *(f"{axis}{k}" for k in range(3) for axis in "xyz")]

@@ -8,7 +8,7 @@ import numpy as np
 
 from steelnb.core.types import Array, IntArray
 from steelnb.settings import TowerSettings
-from steelnb.settings.tower import Kind
+from steelnb.settings.world import Kind
 
 GROUND, ON_PLATE = -1, -2
 """Used in place of a member's index: the ground, and a steel plate, which is not a bar."""

@@ -10,7 +10,7 @@ import numpy as np
 from steelnb.core.arguments import checks_arguments
 from steelnb.core.types import Array, IntArray
 from steelnb.settings import TowerSettings
-from steelnb.settings.tower import Kind
+from steelnb.settings.world import Kind
 from steelnb.simulation.member_list import leg_half_width, listed_members
 from steelnb.simulation.members import ON_PLATE, Member, make_member, mesh_members, unit
 from steelnb.simulation.mesh_file import read_mesh
