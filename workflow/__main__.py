@@ -107,7 +107,7 @@ def kernels() -> int:
     """Compile the kernels that notebooks, commands and tests need, into the package's cache."""
     from workflow.kernels import compile_kernels
 
-    compile_kernels(find_root())
+    compile_kernels()
     return 0
 
 

@@ -1,4 +1,4 @@
-"""The kernels that notebooks, commands and tests need, compiled once, into the package's cache."""
+"""The kernels that notebooks, commands and tests need, compiled once, into the package's folder of compiled code."""
 
 import gc
 import sys
@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from joblib import Parallel, delayed
 
-from steelnb.core.kernels import COMPILING
+from steelnb.core.kernels import COMPILING, kernel_folder
 from steelnb.fusion.sections.choose import fit_sections
 from steelnb.fusion.sections.histogram import HISTOGRAM
 from steelnb.fusion.sections.shapes import THICKNESS
@@ -23,9 +23,9 @@ ADJUSTING = ("faces", "smoothed")
 OTHERS = tuple(name for name in METHODS if name not in ADJUSTING)
 
 
-def compile_kernels(root: Path) -> None:
+def compile_kernels() -> None:
     """Fly and search with every method, which compiles what is missing, and print how many kernels that were."""
-    began, before = time.monotonic(), set(_compiled(root))
+    began, before = time.monotonic(), set(_compiled())
     print(COMPILING, file=sys.stderr, flush=True)
     # In this order, the two processes seldom need the same kernel at the same time, which both would compile.
     jobs = [
@@ -35,13 +35,13 @@ def compile_kernels(root: Path) -> None:
     ]  # fmt: skip
     # The collector would spend a sixth of the time on the compiler's objects, which are still in use.
     Parallel(n_jobs=2, batch_size=1, initializer=gc.disable)(jobs)
-    made, seconds = set(_compiled(root)) - before, time.monotonic() - began
+    made, seconds = set(_compiled()) - before, time.monotonic() - began
     size = sum(file.stat().st_size for file in made)
-    print(f"{len(made)} kernels compiled in {seconds:.0f} s: {size / 1e6:.0f} MB in steelnb/**/__pycache__")
+    print(f"{len(made)} kernels compiled in {seconds:.0f} s: {size / 1e6:.0f} MB in {kernel_folder()}")
 
 
-def _compiled(root: Path) -> Iterable[Path]:
-    return (root / "steelnb").rglob("__pycache__/*.nbc")
+def _compiled() -> Iterable[Path]:
+    return Path(kernel_folder()).rglob("*.nbc")
 
 
 def _fly(sensor: str, trajectory: str, methods: Iterable[str]) -> None:

@@ -1,7 +1,6 @@
 """A cache on disk, by joblib, for flights, estimates and rows of runs.
 
 Keys are settings as JSON, the input data of an estimator, and `SOURCES`. Several processes may use the cache at once.
-Entries that cannot be read are computed again.
 """
 
 import contextlib
@@ -9,14 +8,11 @@ import functools
 import hashlib
 import importlib.metadata
 import os
-import pickle
 import tempfile
 import warnings
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
-
-from steelnb.core.sealed import Sealed
+from typing import TYPE_CHECKING, TypeVar
 
 if TYPE_CHECKING:
     from joblib import Memory
@@ -68,14 +64,11 @@ def cached(make: Callable[[], T], *key: object, folder: str | None = None) -> T:
     memory = _memory(folder)
     if memory is None:
         return make()
-    call: Any = memory.cache(_call, ignore=["make"])
-    call.warn = lambda message: None  # pages of traceback for each entry that cannot be read
-    found = call(make, key, SOURCES)
-    return pickle.loads(found.data) if isinstance(found, Sealed) else found  # just made, or loaded
+    return memory.cache(_call, ignore=["make"])(make, key, SOURCES)
 
 
-def _call(make: Callable[[], object], key: tuple[object, ...], sources: str) -> Sealed:
-    return Sealed(pickle.dumps(make(), protocol=pickle.HIGHEST_PROTOCOL))
+def _call(make: Callable[[], T], key: tuple[object, ...], sources: str) -> T:
+    return make()
 
 
 @functools.cache

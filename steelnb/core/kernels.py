@@ -1,14 +1,15 @@
-"""`njit`: Numba's, with a cache of compiled code that may be missing, not writable or damaged, and a word to the user.
+"""`njit`: Numba's, with a folder of compiled code for these very sources, and a word to the user while it compiles.
 
-Numba raises "no locator available" at the import of a kernel if neither the package nor the user's home is writable,
-and raises or crashes on damaged files of its cache.
+A kernel's code contains that of the kernels it calls, and the constants it uses. Numba compiles it again if its own
+file has changed, and does not look at the others. Therefore the folder's name has a digest of all files of the package
+that say ``njit`` or ``register_jitable``: those with kernels, and those with a constant that kernels use.
 """
 
-import contextlib
 import functools
+import hashlib
 import os
-import pickle
-import stat
+import re
+import shutil
 import sys
 import tempfile
 import time
@@ -18,12 +19,13 @@ from pathlib import Path
 from typing import Any
 
 import numba
-from numba.core import caching, event
+from numba.core import event
 
-from steelnb.core.sealed import Sealed
-
+PACKAGE = Path(__file__).resolve().parents[1]
 CACHE_DIR = "NUMBA_CACHE_DIR"
-"""Numba's variable for the folder of its cache."""
+"""Numba's variable for the place of compiled code; the folder is then made in it."""
+COMPILED = re.compile(rb"njit|register_jitable")
+"""What stands in the files that determine what kernels compute."""
 QUIET_S = 2.0
 """Compiling for less than this is not mentioned."""
 COMPILING = "compiling kernels, once, about two minutes"
@@ -31,85 +33,65 @@ COMPILING = "compiling kernels, once, about two minutes"
 
 
 def njit(*, cache: bool, **options: Any) -> Callable[[Callable[..., Any]], Any]:
-    """Decorator like `numba.njit`. With ``cache``, compiled code is kept beside the source, else in the user's cache,
-    else in a temporary folder; without any, it is compiled in every process. Damaged code is compiled again."""
+    """Decorator like `numba.njit`. With ``cache``, compiled code is kept in `kernel_folder`."""
 
     def decorate(function: Callable[..., Any]) -> Any:
-        kernel = numba.njit(**options)(function)
-        if cache and kernel is not function:  # with NUMBA_DISABLE_JIT it is the function itself
-            kernel._cache = _cache_of(function)
-        return kernel
+        config: Any = numba.config
+        folder, usual = kernel_folder() if cache else "", config.CACHE_DIR
+        config.CACHE_DIR = folder  # Numba looks at it here only; kernels of other packages stay where they were
+        try:
+            return numba.njit(cache=bool(folder), **options)(function)
+        finally:
+            config.CACHE_DIR = usual
 
     return decorate
 
 
-class _Places(caching.CompileResultCacheImpl):
-    _locator_classes = [caching.UserProvidedCacheLocator, caching.InTreeCacheLocator]  # noqa: RUF012
-    if os.path.isabs(os.path.expanduser("~")):  # else Numba makes a folder named ~
-        _locator_classes = [*_locator_classes, caching.UserWideCacheLocator]
-
-
-class _Files(caching.IndexDataCacheFile):
-    def _dump(self, obj: Any) -> bytes:
-        return pickle.dumps(Sealed(super()._dump(obj)))
-
-
-class _KernelCache(caching.FunctionCache):
-    """Files that cannot be loaded or saved cost time only."""
-
-    _impl_class = _Places
-
-    def __init__(self, function: Callable[..., Any]) -> None:
-        super().__init__(function)
-        files, impl = self._cache_file, self._impl
-        self._cache_file = _Files(files._cache_path, impl.filename_base, impl.locator.get_source_stamp())
-
-    def load_overload(self, sig: Any, target_context: Any) -> Any:
-        try:
-            return super().load_overload(sig, target_context)
-        except Exception:  # damaged bytes raise anything
-            try:
-                Path(self._cache_file._index_path).unlink(missing_ok=True)
-            except OSError as fault:
-                self._give_up(fault)
-            return None
-
-    def save_overload(self, sig: Any, data: Any) -> None:
-        try:
-            super().save_overload(sig, data)
-        except Exception as fault:  # of the disk, or of Numba, which cannot store some kernels
-            self._give_up(fault)
-
-    def _give_up(self, fault: Exception) -> None:
-        text = f"{self.cache_path}: compiled code cannot be kept; delete the folder if it is damaged: {fault}"
-        warnings.warn(text, stacklevel=2)
-        self.disable()
-
-
-def _cache_of(function: Callable[..., Any]) -> Any:
-    try:
-        return _KernelCache(function)
-    except RuntimeError:  # no writable place
-        _use_temporary_folder()
-    try:
-        return _KernelCache(function)
-    except RuntimeError:
-        return caching.NullCache()
+def digest_kernels(package: Path) -> str:
+    """Digest of the sources that determine what kernels compute."""
+    found = hashlib.sha256()
+    for path in sorted(package.rglob("*.py")):
+        if COMPILED.search(text := path.read_bytes()):
+            found.update(f"{path.relative_to(package)} {len(text)}\n".encode() + text)
+    return found.hexdigest()[:16]
 
 
 @functools.cache
-def _use_temporary_folder() -> None:
-    """Give Numba a temporary folder, here and in the processes that this one starts, and warn."""
-    kept = "it is compiled anew in every process"
-    with contextlib.suppress(OSError):
-        folder = Path(tempfile.gettempdir(), f"steelnb-{os.geteuid()}")
-        folder.mkdir(mode=0o700, exist_ok=True)
-        made = folder.lstat()
-        # Code is loaded from it, so nobody else may write to it.
-        if stat.S_ISDIR(made.st_mode) and made.st_uid == os.geteuid() and not made.st_mode & 0o022:
-            os.environ[CACHE_DIR] = numba.config.CACHE_DIR = str(folder)  # type: ignore[attr-defined]
-            kept = f"it is kept in {folder}"
-    warnings.warn(f"no writable cache for compiled code: {kept}; {CACHE_DIR} can name a folder for it", stacklevel=2)
+def kernel_folder() -> str:
+    """The folder of compiled code: in `CACHE_DIR` if the user sets it, else beside the package, else in the user's
+    cache or a temporary folder. Empty, after a warning, if no place can be written to: kernels are then compiled in
+    every process. Folders of earlier sources are deleted."""
+    of_package = f"kernels-{hashlib.sha256(str(PACKAGE).encode()).hexdigest()[:8]}-"
+    for place in _places():
+        folder = place / f"{of_package}{digest_kernels(PACKAGE)}"
+        try:
+            place.mkdir(mode=0o700, parents=True, exist_ok=True)
+            if not _is_ours(place):
+                continue
+            if not folder.exists():
+                for earlier in set(place.glob(f"{of_package}*")) - {folder}:
+                    shutil.rmtree(earlier, ignore_errors=True)
+                folder.mkdir(exist_ok=True)
+            tempfile.TemporaryFile(dir=folder).close()
+        except OSError:
+            continue
+        return str(folder)
+    warnings.warn(f"no place for compiled code: every process compiles; {CACHE_DIR} can name a folder", stacklevel=2)
+    return ""
+
+
+def _places() -> list[Path]:
+    if chosen := os.environ.get(CACHE_DIR):
+        return [Path(chosen).absolute()]
+    home = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")  # not absolute without a home
+    temporary = Path(os.environ.get("TMPDIR") or "/tmp", f"steelnb-{os.geteuid()}")
+    return [place for place in (PACKAGE / "__pycache__", Path(home, "steelnb"), temporary) if place.is_absolute()]
+
+
+def _is_ours(place: Path) -> bool:
+    """Whether nobody else can put code into a folder below one that all may write to, such as /tmp."""
+    made = place.lstat()
+    return not place.parent.stat().st_mode & 0o002 or (made.st_uid == os.geteuid() and not made.st_mode & 0o022)
 
 
 class Compiling(event.Listener):  # type: ignore[misc]

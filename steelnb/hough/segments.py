@@ -16,7 +16,7 @@ from steelnb.settings import HoughSettings
 HALF_WIDTH = 3.0
 """Half the width of a segment in root mean square distances of its points, for its freedom."""
 GAP = 4.0
-"""Maximum gap of a segment in dx: default of ``gap_max``."""
+"""Maximum gap of a segment in dx: default of ``gap_max``; compiled into kernels (njit)."""
 
 
 @checks_arguments

@@ -11,7 +11,7 @@ from steelnb.settings import TowerSettings
 from steelnb.settings.world import Kind
 
 GROUND, ON_PLATE = -1, -2
-"""Used in place of a member's index: the ground, and a steel plate, which is not a bar."""
+"""Used in place of a member's index: the ground, and a steel plate, which is not a bar. Constants of kernels (njit)."""
 SIDES_THIN, SIDES, THIN_M = 8, 16, 0.08
 """Sides of round rods thinner than `THIN_M`, and of the others; surfaces are within 5.4 and 1.3 % of the circle's
 radius."""

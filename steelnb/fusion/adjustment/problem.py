@@ -30,7 +30,7 @@ from steelnb.fusion.adjustment.imu_factors import Inertial
 from steelnb.fusion.sections import shapes
 
 BAR_DOF = 6
-"""Degrees of freedom of a bar: two of position, two of direction, rotation, flange."""
+"""Degrees of freedom of a bar: two of position, two of direction, rotation, flange; compiled into kernels (njit)."""
 BAR_SIGMA = np.array([0.5, 0.5, 0.5, 0.5, 0.1, 0.003])
 """Prior standard deviations of a bar. Those of position and direction apply to each step. They constrain what no point
 determines, such as the position of a single face along itself. Those of rotation and flange are about the values fitted
