@@ -7,8 +7,7 @@ from typing import cast
 from steelnb.core.arguments import checks_arguments
 from steelnb.core.cache import cached
 from steelnb.core.estimates import Estimate
-from steelnb.core.range_scans import RangeScans
-from steelnb.core.types import Flight, Imu, Trajectory
+from steelnb.core.types import Flight, Imu, RangeScans, Trajectory
 from steelnb.metrics import score_estimate
 from steelnb.odometry import correct
 from steelnb.planning import OnboardPilot

@@ -13,8 +13,7 @@ from typing import Any, Literal, NamedTuple, ParamSpec, TypeVar
 
 import numpy as np
 
-from steelnb.core.arrays import as_array, fields_of, remedy
-from steelnb.core.checks import quoted, shown
+from steelnb.core.checks import as_array, fields_of, quoted, remedy, shown
 from steelnb.core.errors import InputError
 
 P = ParamSpec("P")

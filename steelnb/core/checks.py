@@ -1,6 +1,7 @@
 """Checks of what users hand in, shared by the types, by functions and by every odometry.
 
-Each returns the checked value, or raises a one-line `InputError` that names it, its value and what was expected.
+Each returns the checked value, or raises a one-line `InputError` that names it, its value and what was expected. Data
+frames and structured arrays with fields x, y and z become arrays.
 """
 
 import difflib
@@ -12,10 +13,12 @@ from typing import Any, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from steelnb.core.arrays import COORDINATE_MAX_M, as_array, check_coordinates, fields_of, remedy
 from steelnb.core.errors import InputError
 
-_Array = NDArray[np.float64]
+Array = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+COORDINATE_MAX_M = 1e8
+"""No coordinate is larger: the earth is 4e7 m around. Drivers write such numbers for no return."""
 RIGID_TOLERANCE = 1e-3
 """Largest deviation of RᵀR from the identity. Rounding to single precision or to text stays below it."""
 SAME_S = 1e-6
@@ -107,7 +110,7 @@ def check_length(values: Any, name: str, count: int, what: str) -> None:
         raise InputError(f"{name}: {len(values)}; expected {count}, {what}")
 
 
-def checked_array(values: object, name: str, shape: tuple[str | int, ...]) -> _Array:
+def checked_array(values: object, name: str, shape: tuple[str | int, ...]) -> Array:
     """Finite numbers as float64 in an array of a shape such as ``("N", 3)``, where a letter is any length."""
     expected = f"({', '.join(map(str, shape))}{',' * (len(shape) == 1)})"
     array = _real(values, name, f"real numbers in an array {expected}")
@@ -127,7 +130,7 @@ def checked_shape(values: Any, name: str, shape: tuple[int, ...]) -> NDArray[Any
     return array
 
 
-def checked_stamps(values: object, name: str) -> _Array:
+def checked_stamps(values: object, name: str) -> Array:
     """Strictly increasing finite stamps ``(N,)``, seconds."""
     stamp_s = checked_array(values, name, ("N",))
     if not (stamp_s[1:] > stamp_s[:-1]).all():
@@ -145,7 +148,7 @@ def checked_stamp(value: object, name: str) -> float:
     return stamp_s
 
 
-def check_same_stamps(stamp_s: _Array, name: str, expected_s: _Array, of: str) -> None:
+def check_same_stamps(stamp_s: Array, name: str, expected_s: Array, of: str) -> None:
     """Raise `InputError` unless stamps ``(N,)`` are those of something else, to within `SAME_S`."""
     check_length(stamp_s, name, len(expected_s), f"as {of}")
     off_s = np.abs(stamp_s - expected_s)
@@ -157,7 +160,7 @@ def check_same_stamps(stamp_s: _Array, name: str, expected_s: _Array, of: str) -
         )
 
 
-def checked_cloud(points: object, name: str = "points") -> _Array:
+def checked_cloud(points: object, name: str = "points") -> Array:
     """A cloud ``(N, 3)`` or image ``(H, W, 3)``, metres, as float64 of the same shape; masked entries become NaN."""
     array = _real(points, name, f"real numbers in an array {_CLOUD}")
     if array.ndim not in (2, 3) or array.shape[-1] != 3:
@@ -165,7 +168,7 @@ def checked_cloud(points: object, name: str = "points") -> _Array:
     return array
 
 
-def checked_points(points: object, name: str = "points") -> _Array:
+def checked_points(points: object, name: str = "points") -> Array:
     """The points ``(N, 3)`` of a cloud or image, all finite."""
     array = np.ascontiguousarray(checked_cloud(points, name)).reshape(-1, 3)
     if not np.isfinite(array).all():
@@ -175,7 +178,7 @@ def checked_points(points: object, name: str = "points") -> _Array:
     return array
 
 
-def checked_pose(T_target_source: object, name: str) -> _Array:
+def checked_pose(T_target_source: object, name: str) -> Array:
     """A rigid transform ``(4, 4)`` as float64. Raises `InputError` if it is not one."""
     array = _real(T_target_source, name, "a finite (4, 4) array")
     if array.shape != (4, 4):
@@ -185,7 +188,7 @@ def checked_pose(T_target_source: object, name: str) -> _Array:
     return array
 
 
-def checked_poses(T_target_source: object, name: str, count: int) -> _Array:
+def checked_poses(T_target_source: object, name: str, count: int) -> Array:
     """Rigid transforms ``(count, 4, 4)`` as float64. Raises `InputError` that names the first that is not one."""
     array = _real(T_target_source, name, f"a finite ({count}, 4, 4) array")
     if array.shape != (count, 4, 4):
@@ -194,7 +197,7 @@ def checked_poses(T_target_source: object, name: str, count: int) -> _Array:
     return array
 
 
-def _real(values: object, name: str, expected: str) -> _Array:
+def _real(values: object, name: str, expected: str) -> Array:
     """Real numbers as float64, contiguous, as kernels are compiled for; masked entries become NaN."""
     try:
         if isinstance(values, np.ma.MaskedArray) and not fields_of(values):
@@ -220,7 +223,7 @@ def _is_rigid(x: list[float], y: list[float], z: list[float], last: list[float])
     return near and max(map(abs, off)) <= RIGID_TOLERANCE and handed > 0 and math.isfinite(sum(off) + p + q + r)
 
 
-def _check_rigid(T: _Array, name: str, index: str) -> None:
+def _check_rigid(T: Array, name: str, index: str) -> None:
     """Raise `InputError` for the first of ``T (N, 4, 4)`` that is not rigid. ``index``: how to write its number."""
     R = T[:, :3, :3]
     with np.errstate(invalid="ignore", over="ignore"):
@@ -248,3 +251,44 @@ def set_checked(instance: object, **values: object) -> None:
     """Set fields of a frozen dataclass to their checked values, in its ``__post_init__``."""
     for name, value in values.items():
         object.__setattr__(instance, name, value)
+
+
+def fields_of(values: Any) -> tuple[str, ...]:
+    """The names of the fields of a structured array, such as points read from a ROS 2 message; else nothing."""
+    return getattr(getattr(values, "dtype", None), "names", None) or ()
+
+
+def as_array(values: Any) -> NDArray[Any]:
+    """An array of ``values``. Of a data frame with columns named x, y and z, in any case and order, these three; of
+    a structured array, the fields of these names."""
+    fields = [name.lower() for name in fields_of(values)]
+    if all(fields.count(axis) == 1 for axis in "xyz"):
+        columns = [values[fields_of(values)[fields.index(axis)]].astype(np.float64) for axis in "xyz"]
+        return np.stack([np.ma.filled(column, np.nan) for column in columns], axis=-1)
+    if not hasattr(values, "columns") or not hasattr(values, "iloc"):
+        return np.asarray(values)
+    names = [str(name).lower() for name in values.columns]
+    if all(names.count(axis) == 1 for axis in "xyz"):
+        values = values.iloc[:, [names.index(axis) for axis in "xyz"]]
+    return np.asarray(values.to_numpy(np.float64, na_value=np.nan))
+
+
+def remedy(values: Any) -> str:
+    """What to hand in instead of an object with points, such as a cloud of Open3D; empty for others."""
+    return ", such as its .points" if hasattr(values, "points") else ""
+
+
+def check_coordinates(points: NDArray[np.float64], name: str) -> None:
+    """Raise `InputError` if a finite coordinate is beyond `COORDINATE_MAX_M`."""
+    largest = float(np.abs(points).max(initial=0.0))
+    if largest > COORDINATE_MAX_M:
+        raise InputError(f"{name}: a coordinate of {largest:.3g}; expected metres, at most {COORDINATE_MAX_M:.0e}")
+
+
+def without_zeros(points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Points ``(..., 3)`` with NaN in place of those at exactly zero; the same array if there are none."""
+    x = points[..., 0]
+    if not (x == 0).any():  # a tenth of the time of a look at all coordinates
+        return points
+    zero = (points == 0).all(axis=-1)
+    return np.where(zero[..., None], np.nan, points) if zero.any() else points

@@ -17,8 +17,7 @@ from steelnb.core.checks import (
     set_checked,
 )
 from steelnb.core.errors import InputError
-from steelnb.core.geometry import translated
-from steelnb.core.types import Array, IntArray, Segments, Trajectory
+from steelnb.core.types import Array, IntArray, Segments, Trajectory, translated
 
 
 @dataclass(frozen=True, eq=False)

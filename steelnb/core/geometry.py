@@ -9,7 +9,9 @@ state estimation in robotics" (arXiv 1812.01537, 2018).
 import math
 
 import numpy as np
-from scipy.spatial.transform import Rotation, Slerp
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial.transform import Rotation
 
 from steelnb.core.kernels import njit
 from steelnb.core.types import Array, IntArray
@@ -21,12 +23,6 @@ UPRIGHT_DOF, POSE_DOF = 4, 6
 SHIFT_FROM_M, SHIFT_STEP_M = 1e4, 100.0
 """What is farther than `SHIFT_FROM_M` from zero is shifted by multiples of `SHIFT_STEP_M`. UTM coordinates are that
 large, coordinates of a site are not."""
-
-
-def translated(position: Array, by: Array) -> Array:
-    """Positions ``(..., 3)`` moved by ``by (3,)``, metres, and rounded to 0.1 µm: a cloud that is moved from large map
-    coordinates to the origin equals the same cloud there."""
-    return np.round(position + by, 7)
 
 
 def shift_of(position: Array) -> Array:
@@ -128,19 +124,6 @@ def information_at(information: Array, arm: Array) -> Array:
     return np.asarray(by_twist.T @ information @ by_twist)
 
 
-def interpolated_poses(stamp_s: Array, T: Array, at_s: Array) -> Array:
-    """Poses ``(..., 4, 4)`` at ``at_s (...)`` between those of ``T (N, 4, 4)`` at ``stamp_s (N,)``, N at least 2.
-
-    Positions are interpolated linearly, rotations by slerp; before and after, the first and last pose hold.
-    """
-    inside = np.clip(at_s, stamp_s[0], stamp_s[-1]).ravel()
-    result = np.tile(np.eye(4), (len(inside), 1, 1))
-    result[:, :3, :3] = Slerp(stamp_s, Rotation.from_matrix(T[:, :3, :3]))(inside).as_matrix()
-    for axis in range(3):
-        result[:, axis, 3] = np.interp(inside, stamp_s, T[:, axis, 3])
-    return result.reshape(*np.shape(at_s), 4, 4)
-
-
 def points_along(start: Array, end: Array, spacing_m: float) -> tuple[Array, IntArray]:
     """Points ``(N, 3)`` about ``spacing_m`` apart on segments from ``start (M, 3)`` to ``end (M, 3)``, ends included,
     and the segment of each point ``(N,)``."""
@@ -148,3 +131,9 @@ def points_along(start: Array, end: Array, spacing_m: float) -> tuple[Array, Int
     share = [np.linspace(0, 1, each)[:, None] for each in count]
     points = [a + each * (b - a) for a, b, each in zip(start, end, share, strict=True)]
     return np.concatenate([np.zeros((0, 3)), *points]), np.repeat(np.arange(len(count)), count)
+
+
+def connected(pairs: IntArray, count: int) -> IntArray:
+    """Number of the group of each of ``count`` things ``(N,)``, of which ``pairs (P, 2)`` belong together."""
+    links = coo_array((np.ones(len(pairs)), tuple(pairs.T)), shape=(count, count))
+    return np.asarray(connected_components(links, directed=False)[1], dtype=np.int64)

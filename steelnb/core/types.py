@@ -4,22 +4,35 @@ Transforms are ``(4, 4)`` float64 arrays named ``T_target_source``, clouds ``(N,
 for invalid returns, times float64 seconds. World z is up; the drone frame is x forward, y left, z up (REP 103).
 """
 
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation, Slerp
 
 from steelnb.core import checks
-from steelnb.core.arrays import without_zeros
+from steelnb.core.arguments import checks_arguments
+from steelnb.core.checks import Array, IntArray
 from steelnb.core.errors import InputError
-from steelnb.core.images import CameraImages
-from steelnb.core.segments import Array, IntArray, Lines, Segments
 
-__all__ = ["GRAVITY", "Array", "Flight", "Floats", "Imu", "IntArray", "Lines", "Scan", "Segments", "Trajectory"]
+__all__ = [
+    "GRAVITY", "Array", "CameraImages", "Flight", "Floats", "GreyImage", "Imu", "IntArray", "Lines", "RangeScans",
+    "Scan", "Segments", "Trajectory", "check_columns", "project", "translated", "unproject",
+]  # fmt: skip
 
 Floats = NDArray[np.float32]
+GreyImage = NDArray[np.uint8]
+"""``(H, W)``, 0 black to 255 white."""
+
+
+def translated(position: Array, by: Array) -> Array:
+    """Positions ``(..., 3)`` moved by ``by (3,)``, metres, and rounded to 0.1 µm: a cloud that is moved from large map
+    coordinates to the origin equals the same cloud there."""
+    return np.round(position + by, 7)
 
 
 def _span(stamp_s: Array) -> str:
@@ -52,8 +65,6 @@ class Trajectory:
 
     def moved(self, by: Array) -> "Trajectory":
         """The poses translated by ``by (3,)``, metres; the same object if that is zero."""
-        from steelnb.core.geometry import translated  # imports this module
-
         if not checks.checked_array(by, "by", (3,)).any():
             return self
         T_world_drone = self.T_world_drone.copy()
@@ -74,8 +85,6 @@ class Trajectory:
     def between(self, stamp_s: Array) -> Array:
         """Poses ``(..., 4, 4)`` at any ``stamp_s (...)``: positions interpolated linearly, rotations by slerp, clamped
         to the first and last pose. Raises `InputError` with fewer than two poses."""
-        from steelnb.core.geometry import interpolated_poses  # imports this module
-
         try:
             shape = np.shape(stamp_s)
         except ValueError:
@@ -123,12 +132,88 @@ class Scan:
     def __post_init__(self) -> None:
         stamp_s = checks.checked_stamp(self.stamp_s, "Scan.stamp_s")
         checks.checked_kind(self.fault, "Scan.fault", str)
-        points = without_zeros(checks.checked_cloud(self.points, "Scan.points"))
+        points = checks.without_zeros(checks.checked_cloud(self.points, "Scan.points"))
         checks.set_checked(self, stamp_s=stamp_s, points=points)
 
     def __repr__(self) -> str:
         count, fault = np.count_nonzero(np.isfinite(self.points).all(axis=-1)), self.fault and f", {self.fault}"
         return f"Scan({self.stamp_s:.3f} s, points {self.points.shape}, {count} finite{fault})"
+
+
+class RangeScans(Sequence[Scan]):
+    """Scans stored as range images, in a sixth of the memory; their points are computed on access.
+
+    ``stamp_s (K,)``; ``range_m (K, H, W)`` float32 along the ray, NaN for no return; ``ray (H, W, 3)`` unit vectors in
+    the sensor frame, whose x axis is the optical axis.
+    """
+
+    def __init__(self, stamp_s: Array, range_m: NDArray[np.float32], ray: Array) -> None:
+        self.stamp_s, self.range_m, self.ray = stamp_s, range_m, ray
+
+    def __getstate__(self) -> tuple[NDArray[Any], ...]:
+        # Only the returns are stored, as most rays miss the structure.
+        returned = ~np.isnan(self.range_m)
+        return self.stamp_s, self.ray, np.packbits(returned), np.array(returned.shape), self.range_m[returned]
+
+    def __setstate__(self, state: tuple[NDArray[Any], ...]) -> None:
+        self.stamp_s, self.ray, bits, shape, returns_m = state
+        self.range_m = np.full(shape, np.nan, np.float32)
+        self.range_m[np.unpackbits(bits, count=self.range_m.size).reshape(shape).astype(bool)] = returns_m
+
+    def __len__(self) -> int:
+        return len(self.stamp_s)
+
+    def __getitem__(self, index):  # type: ignore[no-untyped-def, override]
+        if isinstance(index, slice):
+            return RangeScans(self.stamp_s[index], self.range_m[index], self.ray)
+        return Scan(float(self.stamp_s[index]), self.range_m[index][..., None] * self.ray)
+
+
+@dataclass(frozen=True, eq=False)
+class CameraImages:
+    """N grey-value images, each rendered or read on access.
+
+    ``stamp_s (N,)``: middles of the exposures, strictly increasing; ``images``: N arrays ``(H, W)``, None for an
+    unreadable one; ``K (3, 3)``: intrinsics in OpenCV's pixel coordinates (origin at the centre of the first pixel, u
+    right, v down); ``T_drone_camera (4, 4)``: the mount. The camera frame has x along the optical axis, y left and z
+    up, so a point (x, y, z) projects to ``K @ (−y, −z, x)``, up to scale.
+    """
+
+    stamp_s: NDArray[np.float64]
+    images: Sequence[GreyImage | None]
+    K: NDArray[np.float64]
+    T_drone_camera: NDArray[np.float64]
+
+    def __post_init__(self) -> None:
+        checks.set_checked(
+            self,
+            stamp_s=checks.checked_stamps(self.stamp_s, "CameraImages.stamp_s"),
+            K=checks.checked_array(self.K, "CameraImages.K", (3, 3)),
+            T_drone_camera=checks.checked_pose(self.T_drone_camera, "CameraImages.T_drone_camera"),
+        )
+
+    def __len__(self) -> int:
+        return len(self.stamp_s)
+
+    def at(self, stamp_s: float) -> int | None:
+        """Index of the last image at or before ``stamp_s``; None if it is older than half the image period."""
+        if not len(self):
+            return None
+        half_s = 0.5 * float(np.median(np.diff(self.stamp_s))) if len(self) > 1 else 0.05
+        index = int(np.searchsorted(self.stamp_s, stamp_s + 1e-6)) - 1
+        return index if index >= 0 and stamp_s - self.stamp_s[index] <= half_s else None
+
+
+def project(points: NDArray[np.float64], K: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Pixels ``(N, 2)``, u and v, of points ``(N, 3)`` in the camera frame; NaN where x is not positive."""
+    x = np.where(points[:, 0] > 0, points[:, 0], np.nan)
+    return np.column_stack([K[0, 2] - K[0, 0] * points[:, 1] / x, K[1, 2] - K[1, 1] * points[:, 2] / x])
+
+
+def unproject(pixels: NDArray[np.float64], K: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Points ``(N, 3)`` in the camera frame at depth x = 1 that project to pixels ``(N, 2)``."""
+    right, down = (pixels[:, axis] - K[axis, 2] for axis in (0, 1))
+    return np.column_stack([np.ones(len(pixels)), -right / K[0, 0], -down / K[1, 1]])
 
 
 @dataclass(frozen=True, eq=False)
@@ -185,3 +270,158 @@ class Flight:
         part = slice(checks.checked_integer(count, "count", 0))
         prior = Trajectory(self.prior.stamp_s[part], self.prior.T_world_drone[part])
         return replace(self, scans=self.scans[part], prior=prior)
+
+
+def interpolated_poses(stamp_s: Array, T: Array, at_s: Array) -> Array:
+    """Poses ``(..., 4, 4)`` at ``at_s (...)`` between those of ``T (N, 4, 4)`` at ``stamp_s (N,)``, N at least 2.
+
+    Positions are interpolated linearly, rotations by slerp; before and after, the first and last pose hold.
+    """
+    inside = np.clip(at_s, stamp_s[0], stamp_s[-1]).ravel()
+    result = np.tile(np.eye(4), (len(inside), 1, 1))
+    result[:, :3, :3] = Slerp(stamp_s, Rotation.from_matrix(T[:, :3, :3]))(inside).as_matrix()
+    for axis in range(3):
+        result[:, axis, 3] = np.interp(inside, stamp_s, T[:, axis, 3])
+    return result.reshape(*np.shape(at_s), 4, 4)
+
+
+@dataclass(frozen=True, eq=False)
+class Lines:
+    """Infinite lines: ``anchor (M, 3)``, unit ``direction (M, 3)``, number of points ``count (M,)``, and ``label
+    (N,)``, the line of each input point or −1. Public functions refuse values for which `checked` raises an error."""
+
+    anchor: Array
+    direction: Array
+    count: IntArray
+    label: IntArray
+
+    def __post_init__(self) -> None:
+        check_columns(self, count=0, anchor=3, direction=3)
+        label = checks.checked_shape(self.label, "Lines.label", np.shape(self.label)[:1])
+        checks.set_checked(self, label=label)
+
+    def __len__(self) -> int:
+        return len(self.count)
+
+    def __repr__(self) -> str:
+        return f"Lines({len(self)} of {len(self.label)} points)"
+
+    def checked(self) -> "Lines":
+        """The lines in the types that kernels are compiled for. Raises `InputError` for anchors and directions that are
+        not finite, and negative counts and labels below −1."""
+        anchor, direction = (_finite(getattr(self, name), f"Lines.{name}") for name in ("anchor", "direction"))
+        count = _at_least(self.count, "Lines.count", 0, np.int64)
+        return Lines(anchor, direction, count, _at_least(self.label, "Lines.label", -1, np.int64))
+
+
+@dataclass(frozen=True, eq=False)
+class Segments:
+    """Line segments, metres: ``start (M, 3)``, ``end (M, 3)``, number of points ``count (M,)``, and ``radius (M,)``,
+    the root mean square distance of these points from the axis. Public functions refuse values for which `checked`
+    raises an error; the constructor, which odometries call often, does not read them."""
+
+    start: Array
+    end: Array
+    count: IntArray
+    radius: Array
+
+    def __post_init__(self) -> None:
+        check_columns(self, start=3, end=3, count=0, radius=0)
+
+    def __len__(self) -> int:
+        return len(self.count)
+
+    def __repr__(self) -> str:
+        return f"Segments({len(self)}, {self.length.sum():.2f} m in all)"
+
+    def checked(self) -> "Segments":
+        """The segments in the types that kernels are compiled for. Raises `InputError` for ends that are not finite,
+        and for negative counts and radii; unknown radii may be NaN."""
+        start, end = (_finite(getattr(self, name), f"Segments.{name}") for name in ("start", "end"))
+        count = _at_least(self.count, "Segments.count", 0, np.int64)
+        return Segments(start, end, count, _at_least(self.radius, "Segments.radius", 0, np.float64))
+
+    @staticmethod
+    def empty() -> "Segments":
+        return Segments(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0, np.int64), np.zeros(0))
+
+    @staticmethod
+    @checks_arguments
+    def joined(parts: "Iterable[Segments]") -> "Segments":
+        """The segments of all parts, in order. Without parts there are none."""
+        parts = [Segments.empty(), *(checks.checked_kind(part, "a part", Segments) for part in parts)]
+        columns = zip(*((p.start, p.end, p.count, p.radius) for p in parts), strict=True)
+        return Segments(*(np.concatenate(column) for column in columns))
+
+    @property
+    def length(self) -> Array:
+        """Lengths ``(M,)`` in metres."""
+        return np.linalg.norm(self.end - self.start, axis=1)
+
+    @property
+    def middle(self) -> Array:
+        """Midpoints ``(M, 3)``."""
+        return 0.5 * (self.start + self.end)
+
+    @property
+    def direction(self) -> Array:
+        """Unit vectors from start to end ``(M, 3)``."""
+        return (self.end - self.start) / np.maximum(self.length, 1e-12)[:, None]
+
+    def transformed(self, T_target_source: Array) -> "Segments":
+        """The same segments in another frame."""
+        R, t = (T := checks.checked_pose(T_target_source, "T_target_source"))[:3, :3], T[:3, 3]
+        return Segments(self.start @ R.T + t, self.end @ R.T + t, self.count, self.radius)
+
+    def moved(self, by: Array) -> "Segments":
+        """The segments translated by ``by (3,)``, metres."""
+        return replace(self, start=self.start + checks.checked_array(by, "by", (3,)), end=self.end + by)
+
+    def take(self, index: NDArray[np.int64] | NDArray[np.bool_]) -> "Segments":
+        """The segments selected by an index or a mask."""
+        return Segments(self.start[index], self.end[index], self.count[index], self.radius[index])
+
+
+def _writable(array: Any, dtype: Any) -> NDArray[Any]:
+    """The same array if it has the type and may be written, else a copy: a kernel is compiled for each kind."""
+    return array if array.dtype == dtype and array.flags.writeable else np.array(array, dtype=dtype)
+
+
+def _plain(array: Any) -> NDArray[Any]:
+    """A plain array of a data frame's column, or of a masked one, whose masked values are NaN."""
+    return np.asarray(np.ma.filled(array.astype(float), np.nan) if isinstance(array, np.ma.MaskedArray) else array)
+
+
+def _finite(array: Array, name: str) -> Array:
+    array = _plain(array)
+    if not math.isfinite(array.sum()):  # the sum of finite coordinates is finite
+        checks.checked_array(array, name, ("M", 3))
+    return _writable(array, np.float64)
+
+
+def _at_least(array: NDArray[Any], name: str, low: int, dtype: Any) -> NDArray[Any]:
+    """Finite numbers of at least ``low``; NaN, for unknown, if the type is a float."""
+    array = _plain(array)
+    known = array[~np.isnan(array)] if dtype is np.float64 else array
+    if not (low <= known.min(initial=low) and known.max(initial=low) < np.inf):
+        off = known[~((known >= low) & (known < np.inf))][0]
+        raise InputError(f"{name}: {off}; expected finite numbers of at least {low}")
+    return _writable(array, dtype)
+
+
+def check_columns(instance: object, **columns: int) -> None:
+    """Raise `InputError` unless fields are numbers of as many rows as the first field has: ``(M,)`` for 0 columns,
+    ``(M, 3)`` for 3. Values are not read, so that this takes a few microseconds. A slice of a larger array is copied:
+    kernels are compiled for contiguous arrays, and would be compiled again for a slice."""
+    rows: Any = None
+    for name, width in columns.items():
+        array = getattr(instance, name)
+        shape = getattr(array, "shape", ())
+        rows = shape[0] if rows is None and shape else rows
+        dtype = getattr(array, "dtype", None)
+        if shape != ((rows, width) if width else (rows,)) or dtype is None or dtype.kind not in "fiu":
+            has = f"{checks.shown(array) if dtype is None else dtype} of shape {shape}"
+            expected = f"({rows or 'M'}, {width or ''}".rstrip() + ")"
+            raise InputError(f"{type(instance).__name__}.{name}: {has}; expected an array {expected} of numbers")
+        if isinstance(array, np.ndarray) and not array.flags.c_contiguous:
+            checks.set_checked(instance, **{name: np.ascontiguousarray(array)})

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from steelnb.core.graphs import connected
+from steelnb.core.geometry import connected
 from steelnb.core.kernels import njit
 from steelnb.core.types import Array, IntArray, Segments
 

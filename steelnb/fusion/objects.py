@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from steelnb.core.graphs import connected
+from steelnb.core.geometry import connected
 from steelnb.core.types import Array, IntArray, Segments
 from steelnb.fusion.candidates import beyond_ends
 from steelnb.fusion.joints import REACH_M

@@ -9,8 +9,8 @@ import numpy as np
 from steelnb.core.arguments import checks_arguments
 from steelnb.core.checks import check_sequence, checked_kind, checked_pose, checked_poses
 from steelnb.core.errors import InputError
-from steelnb.core.geometry import shift_of, translated
-from steelnb.core.types import Array, Scan, Segments
+from steelnb.core.geometry import shift_of
+from steelnb.core.types import Array, Scan, Segments, translated
 from steelnb.fusion.adjustment.adjust import adjust
 from steelnb.fusion.adjustment.drift_factors import DRIFT_PERIOD_S
 from steelnb.fusion.bar_fitting import BarFitter

@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 from steelnb.core.arguments import checks_arguments
 from steelnb.core.checks import check_length, checked_kind
 from steelnb.core.errors import InputError
-from steelnb.core.segments import check_columns
-from steelnb.core.types import Array, IntArray, Segments
+from steelnb.core.types import Array, IntArray, Segments, check_columns
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,8 +6,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from steelnb.core.arguments import checks_arguments
-from steelnb.core.arrays import check_coordinates
-from steelnb.core.checks import checked_cloud, checked_integer, checked_number
+from steelnb.core.checks import check_coordinates, checked_cloud, checked_integer, checked_number
 from steelnb.core.errors import InputError
 from steelnb.core.types import Array, Lines
 from steelnb.hough.directions import directions

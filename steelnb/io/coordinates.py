@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from steelnb.core.arrays import COORDINATE_MAX_M
+from steelnb.core.checks import COORDINATE_MAX_M
 from steelnb.core.errors import InputError
 from steelnb.core.types import Array
 

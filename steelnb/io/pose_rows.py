@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from steelnb.core.arrays import COORDINATE_MAX_M
+from steelnb.core.checks import COORDINATE_MAX_M
 from steelnb.core.types import Array
 
 LENGTHS = 0.5, 2.0

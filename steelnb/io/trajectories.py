@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from steelnb.core.arguments import checks_arguments
-from steelnb.core.arrays import COORDINATE_MAX_M
-from steelnb.core.checks import SAME_S
+from steelnb.core.checks import COORDINATE_MAX_M, SAME_S
 from steelnb.core.errors import InputError
 from steelnb.core.files import new_file, reading
 from steelnb.core.types import Array, Trajectory

@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from steelnb.core.angle_section import centroid_m
 from steelnb.core.types import Array, IntArray, Segments
 from steelnb.fusion.joints import nearest_point
+from steelnb.fusion.sections.shapes import centroid_m
 from steelnb.fusion.structure import Structure
 from steelnb.metrics.segments import DISTANCE_MAX_M, SHARE_MIN, match_members, share
 from steelnb.settings import TofSettings

@@ -5,8 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from steelnb.core.errors import InputError
-from steelnb.core.images import CameraImages, GreyImage, project, unproject
-from steelnb.core.types import Array, Flight
+from steelnb.core.types import Array, CameraImages, Flight, GreyImage, project, unproject
 from steelnb.odometry.orb.features import features_with_depth, match
 from steelnb.simulation import Truth
 

@@ -10,8 +10,7 @@ import numpy as np
 from steelnb.core.arguments import checks_arguments
 from steelnb.core.estimates import Estimate
 from steelnb.core.geometry import shift_of
-from steelnb.core.images import CameraImages
-from steelnb.core.types import Array, Flight, Imu
+from steelnb.core.types import Array, CameraImages, Flight, Imu
 from steelnb.fusion.adjustment.imu_factors import check_imu
 from steelnb.fusion.adjustment.smooth import smooth
 from steelnb.fusion.adjustment.uncertainty import with_range_sigmas

@@ -9,8 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from steelnb.core.range_scans import RangeScans
-from steelnb.core.types import Array, Flight, Floats, Scan
+from steelnb.core.types import Array, Flight, Floats, RangeScans, Scan
 from steelnb.settings import TofSettings
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from steelnb.core.graphs import connected
+from steelnb.core.geometry import connected
 from steelnb.core.types import Array, IntArray
 from steelnb.points.filters import voxel_grid
 from steelnb.points.neighbours import columns_of

@@ -7,8 +7,7 @@ from typing import Protocol
 
 import numpy as np
 
-from steelnb.core.arrays import check_coordinates
-from steelnb.core.checks import checked_choice, checked_cloud
+from steelnb.core.checks import check_coordinates, checked_choice, checked_cloud
 from steelnb.core.errors import InputError
 from steelnb.core.kernels import njit
 from steelnb.core.types import Array, IntArray

@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 
 from steelnb.core import rng
 from steelnb.core.arguments import checks_arguments
-from steelnb.core.images import CameraImages, GreyImage
-from steelnb.core.types import Array, Floats, IntArray, Trajectory
+from steelnb.core.types import Array, CameraImages, Floats, GreyImage, IntArray, Trajectory
 from steelnb.settings import CameraSettings
 from steelnb.simulation.camera_texture import make_texture, shade
 from steelnb.simulation.members import GROUND
@@ -41,7 +40,7 @@ def focal_px(camera: CameraSettings) -> float:
 
 
 def intrinsics(camera: CameraSettings) -> Array:
-    """Intrinsics ``K (3, 3)`` of a camera with square pixels, in pixels, as in `steelnb.core.images.CameraImages`."""
+    """Intrinsics ``K (3, 3)`` of a camera with square pixels, in pixels, as in `steelnb.core.types.CameraImages`."""
     f = focal_px(camera)
     return np.array([[f, 0, (camera.columns - 1) / 2], [0, f, (camera.rows - 1) / 2], [0, 0, 1]])
 

@@ -17,7 +17,7 @@ from scipy.spatial import cKDTree
 from steelnb.core.checks import quoted
 from steelnb.core.errors import InputError
 from steelnb.core.files import reading
-from steelnb.core.graphs import connected
+from steelnb.core.geometry import connected
 from steelnb.core.types import Array
 from steelnb.settings import TowerSettings
 from steelnb.settings.presets import members_file

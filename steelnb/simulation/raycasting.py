@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from steelnb.core.kernels import njit
-from steelnb.core.lazy_open3d import import_open3d
+from steelnb.core.open3d import import_open3d
 from steelnb.core.types import Array, IntArray
 from steelnb.settings import CameraSettings
 from steelnb.simulation.tower import Tower

@@ -6,8 +6,7 @@ import numpy as np
 
 from steelnb.core import rng
 from steelnb.core.arguments import checks_arguments
-from steelnb.core.range_scans import RangeScans
-from steelnb.core.types import Array, IntArray, Scan, Trajectory
+from steelnb.core.types import Array, IntArray, RangeScans, Scan, Trajectory
 from steelnb.settings import TofSettings
 from steelnb.simulation.members import GROUND
 from steelnb.simulation.raycasting import cast_rays, make_scene, rays

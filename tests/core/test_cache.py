@@ -11,7 +11,7 @@ import pytest
 
 from steelnb import experiment
 from steelnb.core import cache
-from steelnb.core.range_scans import RangeScans
+from steelnb.core.types import RangeScans
 from steelnb.settings import ExperimentSettings
 
 GIVEN = {"trajectory": "loops", "noise": "random-walk", "sensor": "report-4cm", "duration_s": 2.0}

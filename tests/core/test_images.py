@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from steelnb.core.images import CameraImages, project, unproject
+from steelnb.core.types import CameraImages, project, unproject
 
 K = np.array([[100.0, 0.0, 79.5], [0.0, 110.0, 59.5], [0.0, 0.0, 1.0]])
 

@@ -11,8 +11,7 @@ import pytest
 
 from steelnb.core.errors import InputError
 from steelnb.core.estimates import Estimate, OdometryStep
-from steelnb.core.range_scans import RangeScans
-from steelnb.core.types import Flight, Imu, Lines, Scan, Segments, Trajectory
+from steelnb.core.types import Flight, Imu, Lines, RangeScans, Scan, Segments, Trajectory
 from steelnb.fusion import SegmentMap
 from steelnb.fusion.structure import Structure
 from steelnb.odometry import SegmentOdometry

@@ -5,7 +5,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from steelnb.core import angle_section
 from steelnb.fusion.adjustment import imu_factors
 from steelnb.fusion.adjustment.point_factors import summed
 from steelnb.fusion.adjustment.solver import Chain
@@ -154,9 +153,9 @@ def test_a_chain_of_poses_is_solved_like_its_dense_matrix(size):
 def test_the_centroid_is_that_of_two_rectangles_and_grows_with_the_thickness():
     for thickness in (0.04, 1 / 12, 0.2):
         corner = naive.angle_outline(0.0, 0.1, thickness)[0]
-        assert angle_section.centroid_m(0.1, 0.1 * thickness) == pytest.approx(-corner[0])
-        by_difference = [angle_section.centroid_m(1.0, thickness + s) for s in (1e-6, -1e-6)]
-        assert angle_section.centroid_growth(thickness) == pytest.approx(-np.diff(by_difference)[0] / 2e-6, rel=1e-6)
+        assert shapes.centroid_m(0.1, 0.1 * thickness) == pytest.approx(-corner[0])
+        by_difference = [shapes.centroid_m(1.0, thickness + s) for s in (1e-6, -1e-6)]
+        assert shapes.centroid_growth(thickness) == pytest.approx(-np.diff(by_difference)[0] / 2e-6, rel=1e-6)
 
 
 @settings(max_examples=20, deadline=None)

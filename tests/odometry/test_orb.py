@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from steelnb import experiment
-from steelnb.core.images import project
+from steelnb.core.types import project
 from steelnb.odometry import OrbOdometry, make_odometry, run
 from steelnb.odometry.orb.features import DepthImage, Features, find_features, import_opencv, match
 from steelnb.odometry.orb.landmarks import LandmarkMap

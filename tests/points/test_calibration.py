@@ -6,8 +6,7 @@ import pytest
 from steelnb import experiment
 from steelnb.core import rng
 from steelnb.core.errors import InputError
-from steelnb.core.range_scans import RangeScans
-from steelnb.core.types import Flight, Scan, Trajectory
+from steelnb.core.types import Flight, RangeScans, Scan, Trajectory
 from steelnb.fusion.adjustment.uncertainty import with_range_sigmas
 from steelnb.points.calibration import calibrated
 from steelnb.settings import ExperimentSettings, StructureSettings, TofSettings

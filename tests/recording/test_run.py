@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from steelnb import experiment
 from steelnb.core.errors import InputError
 from steelnb.core.estimates import OdometryStep
-from steelnb.core.lazy_open3d import import_open3d
+from steelnb.core.open3d import import_open3d
 from steelnb.core.types import Flight, Scan, Trajectory
 from steelnb.io import read_flight, read_trajectory, read_truth, write_flight, write_tum
 from steelnb.io.clouds import read_points

@@ -3,8 +3,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from steelnb import experiment
-from steelnb.core.images import project
-from steelnb.core.types import Trajectory
+from steelnb.core.types import Trajectory, project
 from steelnb.settings import ExperimentSettings
 from steelnb.simulation import FORWARD, Camera, build_tower, camera, photograph
 from steelnb.simulation.camera import SAMPLES, intrinsics

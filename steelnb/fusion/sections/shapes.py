@@ -13,8 +13,8 @@ has no flange (NaN), and its turn is the direction of its normal, to the only si
 import math
 
 import numpy as np
+from numba.extending import register_jitable
 
-from steelnb.core.angle_section import centroid_growth, centroid_m
 from steelnb.core.kernels import njit
 from steelnb.core.types import Array
 from steelnb.points.ranges import range_sigma_m
@@ -26,6 +26,20 @@ PLATE_M = 0.5
 THICKNESS, THICKNESS_SIGMA, THICKNESS_SPREAD = 1 / 12, 0.02, 0.007
 """Thickness of the angle sections of a structure as a share of their flanges, before it is estimated; its standard
 deviation; and that of single bars about it. Rolled equal angles have 1/15 to 1/7 (EN 10056-1)."""
+
+
+@register_jitable
+def centroid_m(flange_m: float, thickness_m: float) -> float:
+    """Distance of the centroid from either outer face, metres: that of two rectangles b × t and (b − t) × t."""
+    return (flange_m * flange_m + flange_m * thickness_m - thickness_m * thickness_m) / (
+        2.0 * (2.0 * flange_m - thickness_m)
+    )
+
+
+@register_jitable
+def centroid_growth(thickness: float) -> float:
+    """Derivative of `centroid_m` with respect to the thickness, both as shares of the flange."""
+    return (3.0 - 4.0 * thickness + thickness * thickness) / (2.0 * (2.0 - thickness) ** 2)
 
 
 def frames(direction: Array) -> Array:

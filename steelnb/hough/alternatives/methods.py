@@ -11,7 +11,7 @@ import numpy as np
 from steelnb.core.checks import check_sequence, checked_choice, checked_integer, checked_number
 from steelnb.core.errors import InputError
 from steelnb.core.kernels import njit
-from steelnb.core.lazy_open3d import import_open3d
+from steelnb.core.open3d import import_open3d
 from steelnb.core.rng import stream
 from steelnb.core.types import Array, Lines, Segments
 from steelnb.hough.alternatives.refine import POINTS_MIN, bars_of_groups, bars_of_lines, in_passes, refine

@@ -8,8 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from steelnb.core.images import GreyImage, project
-from steelnb.core.types import Array, IntArray
+from steelnb.core.types import Array, GreyImage, IntArray, project
 from steelnb.points.ranges import range_sigma_m
 
 SCALE, LEVELS = 1.2, 3

@@ -4,8 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from steelnb.core.images import project
-from steelnb.core.types import Array, IntArray
+from steelnb.core.types import Array, IntArray, project
 from steelnb.odometry.orb.features import Features
 
 SIGHTINGS_MAX = 50

@@ -12,8 +12,7 @@ from scipy.spatial import cKDTree
 
 from steelnb.core.arguments import checks_arguments
 from steelnb.core.geometry import transform_points
-from steelnb.core.images import CameraImages, GreyImage, unproject
-from steelnb.core.types import Array, Imu, IntArray, Scan
+from steelnb.core.types import Array, CameraImages, GreyImage, Imu, IntArray, Scan, unproject
 from steelnb.odometry.base import BaseOdometry, Outcome, Stopwatch
 from steelnb.odometry.drift_filter import PRIOR_SIGMA, make_prediction
 from steelnb.odometry.orb.features import Features, features_with_depth, match
