@@ -20,21 +20,6 @@ UPRIGHT_DOF, POSE_DOF = 4, 6
 """Degrees of freedom of a pose whose roll and pitch are known (yaw, x, y, z), and of a free pose."""
 
 
-SHIFT_FROM_M, SHIFT_STEP_M = 1e4, 100.0
-"""What is farther than `SHIFT_FROM_M` from zero is shifted by multiples of `SHIFT_STEP_M`. UTM coordinates are that
-large, coordinates of a site are not."""
-
-
-def shift_of(position: Array) -> Array:
-    """Origin ``(3,)`` for coordinates around a ``position (3,)``, metres: zero unless they are large.
-
-    Voxel numbers and pictures need coordinates near zero. Subtract it from inputs, and add it to results.
-    """
-    if not np.abs(position).max() > SHIFT_FROM_M:
-        return np.zeros(3)
-    return SHIFT_STEP_M * np.round(position / SHIFT_STEP_M)
-
-
 def transform_points(T_target_source: Array, points: Array) -> Array:
     """Points ``(..., 3)`` of the source frame, in the target frame."""
     return np.asarray(points @ T_target_source[:3, :3].T + T_target_source[:3, 3])

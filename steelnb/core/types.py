@@ -21,12 +21,25 @@ from steelnb.core.errors import InputError
 
 __all__ = [
     "GRAVITY", "Array", "CameraImages", "Flight", "Floats", "GreyImage", "Imu", "IntArray", "Lines", "RangeScans",
-    "Scan", "Segments", "Trajectory", "check_columns", "project", "translated", "unproject",
+    "Scan", "Segments", "Trajectory", "check_columns", "project", "shift_of", "translated", "unproject",
 ]  # fmt: skip
 
 Floats = NDArray[np.float32]
+SHIFT_FROM_M, SHIFT_STEP_M = 1e4, 100.0
+"""What is farther than `SHIFT_FROM_M` from zero is shifted by multiples of `SHIFT_STEP_M`. UTM coordinates are that
+large, coordinates of a site are not."""
 GreyImage = NDArray[np.uint8]
 """``(H, W)``, 0 black to 255 white."""
+
+
+def shift_of(position: Array) -> Array:
+    """Origin ``(3,)`` for coordinates around a ``position (3,)``, metres: zero unless they are large.
+
+    Voxel numbers and pictures need coordinates near zero. Subtract it from inputs, and add it to results.
+    """
+    if not np.abs(position).max() > SHIFT_FROM_M:
+        return np.zeros(3)
+    return SHIFT_STEP_M * np.round(position / SHIFT_STEP_M)
 
 
 def translated(position: Array, by: Array) -> Array:
@@ -261,9 +274,16 @@ class Flight:
         parts = [name for name in ("imu", "images") if getattr(self, name) is not None]
         return f"Flight({self.name!r}: {', '.join([f'{len(self)} scans{_span(self.prior.stamp_s)}', *parts])})"
 
+    @property
+    def origin(self) -> Array:
+        """`shift_of` the first pose ``(3,)``: what estimators subtract from poses, and add to their results. Heights
+        stay, as the floor of settings is one."""
+        return shift_of(self.prior.position[0] * [1, 1, 0]) if len(self) else np.zeros(3)
+
     def moved(self, by: Array) -> "Flight":
-        """The same flight with its poses translated by ``by (3,)``, metres."""
-        return replace(self, prior=self.prior.moved(by))
+        """The same flight with its poses translated by ``by (3,)``, metres; the same object if that is zero."""
+        prior = self.prior.moved(by)
+        return self if prior is self.prior else replace(self, prior=prior)
 
     def first(self, count: int) -> "Flight":
         """The first ``count`` scans of the flight."""

@@ -9,8 +9,7 @@ import numpy as np
 from steelnb.core.arguments import checks_arguments
 from steelnb.core.checks import check_sequence, checked_kind, checked_pose, checked_poses
 from steelnb.core.errors import InputError
-from steelnb.core.geometry import shift_of
-from steelnb.core.types import Array, Scan, Segments, translated
+from steelnb.core.types import Array, Scan, Segments, shift_of, translated
 from steelnb.fusion.adjustment.adjust import adjust
 from steelnb.fusion.adjustment.drift_factors import DRIFT_PERIOD_S
 from steelnb.fusion.bar_fitting import BarFitter
@@ -64,11 +63,11 @@ def reconstruct(
     for k, scan in enumerate(scans if isinstance(scans, list | tuple) else ()):
         checked_kind(scan, f"scans[{k}]", Scan)
     T_world_drone = checked_poses(T_world_drone, "T_world_drone", len(scans))
-    origin = shift_of(T_world_drone[0, :3, 3]) if len(scans) else np.zeros(3)
+    origin = shift_of(T_world_drone[0, :3, 3] * [1, 1, 0]) if len(scans) else np.zeros(3)
     if origin.any():
         near = T_world_drone.copy()
         near[:, :3, 3] = translated(near[:, :3, 3], -origin)
-        return reconstruct(scans, near, T_drone_sensor, settings.lowered(float(origin[2]))).moved(origin)
+        return reconstruct(scans, near, T_drone_sensor, settings).moved(origin)
     mount = None if T_drone_sensor is None else checked_pose(T_drone_sensor, "T_drone_sensor")
     T_world_sensor = T_world_drone if mount is None else T_world_drone @ mount
     thickness = settings.thickness or shapes.THICKNESS

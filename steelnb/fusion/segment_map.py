@@ -7,9 +7,8 @@ from numpy.typing import NDArray
 
 from steelnb.core.arguments import checks_arguments
 from steelnb.core.errors import InputError
-from steelnb.core.geometry import shift_of
 from steelnb.core.kernels import njit
-from steelnb.core.types import Array, IntArray, Segments
+from steelnb.core.types import Array, IntArray, Segments, shift_of
 from steelnb.settings import FusionSettings
 
 GAP_MAX_M = 0.2

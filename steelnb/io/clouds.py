@@ -16,8 +16,7 @@ from steelnb.core.arguments import checks_arguments
 from steelnb.core.checks import COORDINATE_MAX_M, check_length, checked_array
 from steelnb.core.errors import InputError
 from steelnb.core.files import new_file, reading
-from steelnb.core.geometry import shift_of
-from steelnb.core.types import Array, IntArray, translated
+from steelnb.core.types import Array, IntArray, shift_of, translated
 from steelnb.hough.lines import spacing
 from steelnb.io.column_names import AXIS
 from steelnb.io.coordinates import check_degrees, check_first_column, check_geocentric, check_steps, is_stray

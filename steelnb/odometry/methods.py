@@ -9,7 +9,6 @@ import numpy as np
 
 from steelnb.core.arguments import checks_arguments
 from steelnb.core.estimates import Estimate
-from steelnb.core.geometry import shift_of
 from steelnb.core.types import Array, CameraImages, Flight, Imu
 from steelnb.fusion.adjustment.imu_factors import check_imu
 from steelnb.fusion.adjustment.smooth import smooth
@@ -76,12 +75,11 @@ def correct(
     odometry of the settings (`load_odometry`). Raises `InputError` as `run` does, and before the first scan if the
     readings of an IMU do not fit the prior (`check_imu`).
 
-    Poses far from zero, such as in UTM, are moved near it for the work (`shift_of`), and results are moved back."""
-    origin = shift_of(flight.prior.position[0]) if len(flight) else np.zeros(3)
-    if origin.any():
+    Poses far from zero, such as in UTM, are moved near it for the work (`Flight.origin`), and results back."""
+    if (origin := flight.origin).any():
         near, near_before = flight.moved(-origin), before and before.moved(-origin)
         shown = on_step and (lambda k, scan, step: on_step(k, scan, step.moved(origin)))
-        found = correct(near, settings.lowered(float(origin[2])), shown, own, near_before)
+        found = correct(near, settings, shown, own, near_before)
         return found.moved(origin, flight.prior)
     noise = getattr(settings, "inertial", None)
     if noise and flight.imu is not None:

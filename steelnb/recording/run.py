@@ -13,7 +13,6 @@ from steelnb import odometry
 from steelnb.core.errors import InputError
 from steelnb.core.estimates import Estimate, OdometryStep
 from steelnb.core.files import new_folder
-from steelnb.core.geometry import shift_of
 from steelnb.core.types import Array, Flight, IntArray, Scan, Segments, Trajectory
 from steelnb.fusion.adjustment.uncertainty import axis_sigma_m
 from steelnb.fusion.mapped_scans import MappedScans
@@ -114,12 +113,9 @@ def run_recording(
     label, colour = (LABELS[method], COLOURS[method]) if own is None else (method, COLOURS["final"])
     flight = calibrated(flight, settings.tof)
     known = references(flight, truth, other)
-    origin = shift_of(flight.prior.position[0])  # voxel numbers and pictures need coordinates near zero
+    origin = flight.origin  # voxel numbers and pictures need coordinates near zero
     with new_folder(output, FILES) as folder:
-        odometry_settings = settings.odometry.lowered(float(origin[2]))
-        near = correct_recording(
-            flight.moved(-origin), odometry_settings, structure.lowered(float(origin[2])), own, on_progress, on_stage
-        )
+        near = correct_recording(flight.moved(-origin), settings.odometry, structure, own, on_progress, on_stage)
         found = near.moved(origin, flight.prior)
         numbers = evaluate(flight, found.estimate, found.segments, found.structure, known)
         on_stage("drawing and writing")

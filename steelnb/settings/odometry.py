@@ -47,10 +47,6 @@ class OdometrySettings(Settings):
             raise InputError("OdometrySettings: of no family; OdometrySettings.preset(method) gives those of a method")
         super().__init__(**values)
 
-    def lowered(self, by_m: float) -> Self:
-        """These settings for a world whose zero is ``by_m`` higher."""
-        return self.replace(preprocess=self.preprocess.lowered(by_m))
-
     @staticmethod
     def preset(
         method: str = "best", sensor: str | Path = "starling2", overrides: dict[str, Any] | None = None

@@ -20,10 +20,6 @@ class PreprocessSettings(Settings):
     floor_m: Finite = 0.3
     voxel_leaf_m: VoxelEdge = 0.05
 
-    def lowered(self, by_m: float) -> Self:
-        """These settings for a world whose zero is ``by_m`` higher."""
-        return self.replace(floor_m=self.floor_m - by_m) if by_m else self
-
     def check_range(self, range_max_m: float | None) -> None:
         """Raise `InputError` for the range of a sensor, if given, that is within a voxel."""
         if range_max_m is not None and not range_max_m > self.voxel_leaf_m:

@@ -11,7 +11,6 @@ from steelnb.core.arguments import checks_arguments
 from steelnb.core.checks import check_same_stamps, checked_number
 from steelnb.core.errors import InputError
 from steelnb.core.estimates import Estimate
-from steelnb.core.geometry import shift_of
 from steelnb.core.types import Flight, Trajectory
 from steelnb.fusion.adjustment import uncertainty
 from steelnb.fusion.adjustment.adjust import Stages, adjust
@@ -52,17 +51,14 @@ def smooth(
     centroids of their sections. With too few bars, the old estimate is returned, with the reason in ``unsmoothed``.
 
     Raises `InputError` if the readings have other units, axes or another clock (`check_imu`), and if the estimate is
-    not of the flight. Poses far from zero are moved near it for the work (`shift_of`).
+    not of the flight. Poses far from zero are moved near it for the work (`Flight.origin`).
     """
     settings = StructureSettings() if settings is None else settings
     tilt_sigma_rad = checked_number(tilt_sigma_rad, "tilt_sigma_rad", 0.0)
     check_same_stamps(estimate.corrected.stamp_s, "estimate", flight.prior.stamp_s, "the scans of the flight")
-    origin = shift_of(flight.prior.position[0]) if len(flight) else np.zeros(3)
-    if origin.any():
+    if (origin := flight.origin).any():
         near = flight.moved(-origin)
-        found = smooth(
-            near, estimate.moved(-origin, near.prior), settings.lowered(float(origin[2])), tilt_sigma_rad, imu
-        )
+        found = smooth(near, estimate.moved(-origin, near.prior), settings, tilt_sigma_rad, imu)
         return found.moved(origin, estimate.prior)
     stamp_s, mount = flight.prior.stamp_s, flight.T_drone_sensor
     prior, T = flight.prior.T_world_drone @ mount, estimate.corrected.T_world_drone @ mount
