@@ -3,14 +3,14 @@
 PYTHONPATH=. .venv/bin/python benchmarks/segment.py [--seeds 21 22] [--towers slender heavy] [-o FILE.csv]
 
 The clouds are the preprocessed scans of a Starling 2 in loops around a tower, placed at the true poses, ground
-included; a random one in ten of their points is taken (`steelnb.notebook.whole_clouds`).
+included; a random one in ten of their points is taken (`steelnb.notebook.frames`).
 """
 
 import argparse
 
 import pandas as pd
 
-from steelnb.notebook.whole_clouds import CONDITIONS, cloud_trials
+from steelnb.notebook.frames import CONDITIONS, cloud_trials
 
 
 def main() -> None:

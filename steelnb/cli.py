@@ -214,8 +214,9 @@ def study(
     """
     from joblib import parallel_config
 
+    from steelnb.notebook.cases import read_grids
     from steelnb.notebook.results import RUNS
-    from steelnb.notebook.study import check_runs, read_grids, run_study, write_runs
+    from steelnb.notebook.study import check_runs, run_study, write_runs
 
     check_runs(output, runs := read_grids(settings), force)
     with parallel_config("loky", initializer=prepare_terminal):  # a worker has a terminal of its own

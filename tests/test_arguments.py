@@ -29,8 +29,6 @@ from steelnb.core.estimates import OdometryStep
 from steelnb.core.kernels import compiling
 from steelnb.core.types import Flight, Lines, Scan, Segments, Trajectory
 from steelnb.hough.alternatives.methods import find_bars_by
-from steelnb.notebook import study
-from steelnb.notebook.runs import run_all
 
 CLOUD = np.random.default_rng(0).uniform(-1, 1, (60, 3))
 POSES = np.tile(np.eye(4), (3, 1, 1))
@@ -109,8 +107,6 @@ def test_clouds_of_another_kind(take, cloud):
         (lambda: settings.ExperimentSettings.preset(overrides={"tof.blind_s": [[2, np.inf]]}), "blind_s.* = inf"),
         (lambda: settings.ExperimentSettings.report("3.5", "vertical", "gicp", noise=""), "noise = ''"),
         (lambda: settings.ExperimentSettings.report("3.5", "vertical", "gicp", ""), "method = ''"),
-        (lambda: run_all(settings.ExperimentSettings.preset()), "cases = "),
-        (lambda: run_all(["best"]), "a case = 'best': expected ExperimentSettings"),
         (lambda: find_bars_by("houg", CLOUD), "method = 'houg': expected one of .*did you mean 'hough'"),
         (lambda: find_bars_by("hough", CLOUD, seed=-1), "seed = -1: expected an integer of at least 0"),
         (lambda: find_bars_by("gmm", CLOUD, components=[]), "components = .*at least one"),
@@ -159,8 +155,6 @@ def test_clouds_of_another_kind(take, cloud):
         (lambda: registration.icp_as_pcl(CLOUD, POINTS, 0.0, 5, 1e-3), "max_correspondence_m = 0.0"),
         (lambda: registration.gicp_as_pcl(CLOUD, np.ones((60, 6)), POINTS, 1.0, 5, 1e-3), "without covariances"),
         (lambda: registration.gicp_as_pcl(CLOUD, CLOUD, POINTS, 1.0, 5, 1e-3), r"covariance: .*expected \(60, 6\)"),
-        (lambda: study.run_study(["best"]), "runs = 'best': expected ExperimentSettings, as from grid"),
-        (lambda: study.read_grids("nowhere.toml"), "nowhere.toml: does not exist"),
         (lambda: FLIGHT.first(-1), "count = -1"),
         (lambda: FLIGHT.prior.moved("far"), "by: str"),
         (lambda: FLIGHT.prior.between([NAN]), r"stamp_s\[0\] = nan"),
@@ -192,12 +186,12 @@ def test_values_that_are_out_of_range_or_of_another_kind(call, says):
 
 UNCHECKED = (
     "draw_tower", "gather_bar", "gather_legend", "use", "smooth_ranges", "align", "make_target", "prior_term",
-    "register", "read_tables",
+    "register", "read_tables", "parse_parameter", "read_report_plots",
 )  # fmt: skip
 """Public functions that look at their arguments themselves, or that only figures of ours call."""
 CHECKED = [
-    experiment.run, experiment.simulate, experiment.redrift, experiment.estimate, experiment.draws, study.read_grids,
-    study.run_study, study.study_curves, fusion.SegmentMap, fusion.SegmentMap.insert, fusion.Structure.of,
+    experiment.run, experiment.simulate, experiment.redrift, experiment.estimate, experiment.draws,
+    fusion.SegmentMap, fusion.SegmentMap.insert, fusion.Structure.of,
     odometry.CloudOdometry, odometry.FaceOdometry, odometry.OrbOdometry, planning.OnboardPilot, points.VoxelMap,
     points.VoxelMap.insert, simulation.OnboardSensors,
     *(getattr(room, name)

@@ -31,7 +31,7 @@ def test_a_notebook_checks_its_parameters_first_and_holds_short_cells_and_no_fun
     sources = [[line for line in cell.source.splitlines() if line and line[0] != "#"] for cell in code]
     assert notebook.metadata.kernelspec.name == "python3"
     assert ["parameters" in cell.metadata.get("tags", []) for cell in code] == [True] + [False] * (len(code) - 1)
-    assert next(line for line in sources[1] if "import " not in line) == "parameters.validate()"
+    assert f'parameters.check("{path.stem}")' in next(line for line in sources[1] if "import " not in line)
     assert not any(cell.outputs or cell.execution_count for cell in code)
     assert not any(line.lstrip().startswith(("def ", "class ")) for lines in sources for line in lines)
     assert not any(re.search(r"import .*\b_\w|\w\._\w", cell.source) for cell in code), "something private"

@@ -15,9 +15,11 @@ import nbformat
 from pydantic import Field
 
 from steelnb.core.cache import digest_rooms
+from steelnb.core.checks import checked_choice
 from steelnb.core.errors import InputError
 from steelnb.core.files import reading
-from steelnb.notebook.parameters import FOLDER, check_names, check_parameters, literals
+from steelnb.notebook.cases import NOTEBOOKS
+from steelnb.notebook.parameters import FOLDER, checked_parameters, literals
 from steelnb.notebook.results import EXPERIMENTS_FILE, file_digest
 from steelnb.settings import Settings, parse_parameter, read_tables
 
@@ -113,8 +115,9 @@ def make_parts(root: Path, ids: Sequence[str], budget: str, given: Mapping[str, 
     as ``tof.rate_hz``, goes into the notebook's parameter ``overrides``. Raises `InputError`.
     """
     experiments = read_experiments(root)
-    check_names("BUDGET", [budget], BUDGETS)
-    check_names("ONLY", ids, experiments)
+    checked_choice(budget, "BUDGET", BUDGETS)
+    for id in ids:
+        checked_choice(id, "ONLY", experiments)
     chosen = ids or [id for id, each in experiments.items() if budget == "smoke" or not each.apart]
     some = [(id, each, getattr(each, budget)) for id, each in experiments.items() if id in chosen]
     return [part for id, each, usual in some for part in _combine(root, id, each, usual, given or {})]
@@ -139,7 +142,11 @@ def _combine(
         values = {**usual, **plain, **dict(zip(axes, combination, strict=True))}
         if dotted:
             values["overrides"] = {**values.get("overrides", defaults["overrides"]), **dotted}
-        values = check_parameters(id, values, defaults)
+        for parameter in values:
+            checked_choice(parameter, f"{id}: the name of a parameter", defaults)
+        if notebook.stem in NOTEBOOKS:
+            checked, _ = checked_parameters(notebook.stem, {**defaults, **values}, id)
+            values = {parameter: checked[parameter] for parameter in values}
         name = "-".join(re.sub(r"[^A-Za-z0-9_.]+", "-", str(value)) for value in combination)
         if name in parts:
             raise InputError(f"{EXPERIMENTS_FILE}: [{id}]: matrix: {name} twice; expected distinct values")

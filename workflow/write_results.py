@@ -89,7 +89,7 @@ def write_overview(root: Path, folder: Path) -> None:
 
 
 def _report_rows(folders: Sequence[Path]) -> list[str]:
-    """The rows of docs/report.md, from folders with tables of `notebook.bands.band_table`. Metrics have all digits of
+    """The rows of docs/report.md, from folders with tables of `notebook.report.band_table`. Metrics have all digits of
     their numbers."""
     head = "| plot | the report: mean / max / end | ours: mean (10 to 90 %) / max / end | below | shape | agrees |"
     rows = [head, "|---|---|---|---|---|---|"]

@@ -12,7 +12,7 @@ from scipy import stats
 from steelnb.core.errors import InputError
 from steelnb.core.types import Array
 from steelnb.metrics import WRONG_SHARE
-from steelnb.notebook.study import RUN_COLUMNS
+from steelnb.notebook.cases import RUN_COLUMNS
 from steelnb.plots import LABELS
 from steelnb.settings import Settings, read_tables
 from steelnb.settings.report_plots import SENSOR_STEPS, STEP_S

@@ -13,9 +13,7 @@ from typing import Any, TypeVar
 from joblib import Parallel, delayed
 
 from steelnb import experiment
-from steelnb.core.arguments import checks_arguments
 from steelnb.core.cache import SOURCES
-from steelnb.core.checks import checked_kind
 from steelnb.core.errors import InputError
 from steelnb.core.types import Array, Flight
 from steelnb.odometry import shared_segments
@@ -57,7 +55,6 @@ def result_of(
     return experiment.estimate(settings, *flights(settings), on_progress)
 
 
-@checks_arguments
 def run_all(
     cases: Iterable[ExperimentSettings],
     on_progress: experiment.OnProgress | None = None,
@@ -74,8 +71,7 @@ def run_all(
     Raises `CollisionError`, and `InputError` without a case or a job, or if a worker has other code or libraries than
     this process.
     """
-    checked_kind(cases, "cases", Sequence)
-    given = [(checked_kind(case, "a case", ExperimentSettings).model_dump_json(), case) for case in cases]
+    given = [(case.model_dump_json(), case) for case in cases]
     number = {key: k for k, key in enumerate(dict(given))}
     cases = list(dict(given).values())
     worlds: dict[object, list[int]] = {}

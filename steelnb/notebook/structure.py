@@ -19,9 +19,9 @@ from steelnb.fusion.ridges import Ridges
 from steelnb.fusion.structure import Structure
 from steelnb.metrics.segments import match_members
 from steelnb.metrics.structure import Reference, StructureScore, reference, score_structure, toward_sensor_m
-from steelnb.notebook.tables import case_of
+from steelnb.notebook.cases import case_of
 from steelnb.odometry import SegmentOdometry
-from steelnb.settings import ExperimentSettings, OdometrySettings, StructureSettings, TrajectoryName
+from steelnb.settings import ExperimentSettings, OdometrySettings, StructureSettings
 
 POSES = ("raw", "corrected", "true")
 RECONSTRUCTIONS = ("final", "incremental")
@@ -65,18 +65,9 @@ class Rebuilt:
 
 
 def fly_tower(
-    trajectory: TrajectoryName,
-    sensor: str,
-    noise: str,
-    method: str,
-    seed: int,
-    duration_s: float,
-    tower: str = "tapered",
-    overrides: dict[str, Any] | None = None,
-    on_progress: experiment.OnProgress | None = None,
+    tower: str, settings: ExperimentSettings, on_progress: experiment.OnProgress | None = None
 ) -> TowerFlight:
-    """Simulate a drifting flight over a tower of `TowerSettings.preset` and correct it. Raises `InputError`."""
-    settings = ExperimentSettings.preset(trajectory, noise, method, sensor, seed, duration_s, overrides, tower)
+    """Simulate a drifting flight over a tower, which tables call ``tower``, and correct it. Raises `CollisionError`."""
     flight, truth = experiment.simulate(settings)
     result = experiment.estimate(settings, flight, truth, on_progress)
     at_scans = (result.prior, result.corrected, truth.trajectory.at(flight.prior.stamp_s))

@@ -1,40 +1,31 @@
 """A study: combinations of settings → a table with one row per run.
 
-``run_study(grid(seeds="1-3", methods=["icp", "best"], ...), jobs=2)`` returns the table;
+``run_study(cases.grid(seeds="1-3", methods=["icp", "best"], ...), jobs=2)`` returns the table;
 ``steelnb study STUDY.toml -o FOLDER`` writes the table of a study's file.
 """
 
-import hashlib
-import itertools
 import traceback
 from collections.abc import Iterable
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pandas as pd
-from pydantic import Field, field_validator
 from tqdm import tqdm
 
 from steelnb import experiment
-from steelnb.core.arguments import checks_arguments
 from steelnb.core.cache import PACKAGE, cached, digest_rooms
-from steelnb.core.checks import checked_kind
 from steelnb.core.determinism import machine
 from steelnb.core.errors import InputError, OutputError
 from steelnb.core.files import OVERWRITE, check_writable, new_folder, reading
 from steelnb.metrics import diagnose, position_error_m
+from steelnb.notebook.cases import RUN_COLUMNS, Run, distinct
 from steelnb.notebook.results import RUNS
 from steelnb.notebook.runs import Flights, run_all
-from steelnb.notebook.tables import case_of, stage_times, tower_name
-from steelnb.settings import ExperimentSettings, Settings, TrajectoryName, read_tables
-from steelnb.settings.base import Duration, SeedOrReport, seeds_of
-from steelnb.settings.presets import NameOrPath
-from steelnb.simulation.calibration import measure_calibration
+from steelnb.notebook.tables import stage_times, tower_name
+from steelnb.settings import ExperimentSettings
 
-RUN_COLUMNS = ("sensor", "duration_s", "trajectory", "seed", "noise", "variant", "method")
-"""Columns that identify a run; tables are sorted by them."""
 CURVES = ["curve_time_s", "curve_raw_m", "curve_error_m", "curve_matches"]
 TIMES = ("frame_median_ms", "frame_p95_ms", "machine")
 """Columns that differ from run to run of the same settings; comparisons ignore them."""
@@ -46,95 +37,6 @@ ROW_SOURCES = digest_rooms("notebook")
 TIMING = "timing.parquet"
 
 
-class Run(NamedTuple):
-    """The settings of one run, and the name of its variant."""
-
-    settings: ExperimentSettings
-    variant: str = ""
-
-    @property
-    def case(self) -> dict[str, Any]:
-        """Values of the columns `RUN_COLUMNS`."""
-        values = {**case_of(self.settings), "duration_s": self.settings.flight.duration_s, "variant": self.variant}
-        return {name: values[name] for name in RUN_COLUMNS}
-
-    @property
-    def key(self) -> str:
-        """Identifies the run: a hash of its variant and its settings."""
-        return hashlib.sha256(f"{self.variant} {self.settings.model_dump_json()}".encode()).hexdigest()[:32]
-
-
-class Grid(Settings):
-    """Values to combine; one table of a study's file.
-
-    ``seeds``: a list, or a range such as ``"101-130"``, which includes both ends; a list may hold ranges. ``variants``:
-    name of the variant in tables → changed settings. ``calibrated``: the scale and offset of each seed's camera are
-    measured before its flight, and its ranges corrected (`measure_calibration`). A single value is a list of one, and
-    repeated values count once.
-    """
-
-    seeds: Annotated[list[SeedOrReport], Field(min_length=1)]
-    trajectories: Annotated[list[TrajectoryName], Field(min_length=1)]
-    noises: Annotated[list[str], Field(min_length=1)]
-    sensors: Annotated[list[NameOrPath], Field(min_length=1)]
-    methods: Annotated[list[str], Field(min_length=1)]
-    duration_s: Duration = 200.0
-    variants: Annotated[dict[str, dict[str, Any]], Field(min_length=1)] = {"": {}}  # noqa: RUF012
-    calibrated: bool = False
-
-    @field_validator("seeds", mode="before")
-    @classmethod
-    def _ranges(cls, value: Any) -> Any:
-        many = isinstance(value, list | tuple | set | range)
-        return [seed for each in (value if many else [value]) for seed in seeds_of(each)]
-
-    @field_validator("trajectories", "noises", "sensors", "methods", mode="before")
-    @classmethod
-    def _listed(cls, value: Any) -> Any:
-        return [value] if isinstance(value, str) else value
-
-    @field_validator("seeds", "trajectories", "noises", "sensors", "methods")
-    @classmethod
-    def _once(cls, value: list[Any]) -> list[Any]:
-        return list(dict.fromkeys(value))
-
-    def runs(self) -> list[Run]:
-        """One run per combination. Raises `InputError`."""
-        axes = self.sensors, self.trajectories, self.seeds, self.noises, self.variants.items(), self.methods
-        runs = []
-        for sensor, trajectory, seed, noise, (variant, changes), method in itertools.product(*axes):
-            settings = ExperimentSettings.preset(trajectory, noise, method, sensor, seed, self.duration_s, changes)
-            if self.calibrated:
-                settings = settings.override(measure_calibration(settings.tof, seed))
-            runs.append(Run(settings, variant))
-        return runs
-
-
-def grid(**axes: Any) -> list[Run]:
-    """One run per combination of the values of a `Grid`. Raises `InputError`."""
-    return Grid(**axes).runs()
-
-
-@checks_arguments
-def read_grids(path: Path | str) -> list[Run]:
-    """The runs of a study's TOML file, whose tables are `Grid`s, without duplicates. Raises `InputError`."""
-    grids = read_tables(Path(path), Grid, "the settings of a study")
-    if not grids:
-        raise InputError(f"{path}: no table; expected at least one, such as [report]")
-    runs: list[Run] = []
-    for name, each in grids.items():
-        try:
-            runs += each.runs()
-        except InputError as fault:
-            raise InputError(f"{path}: [{name}]: {fault}") from None
-    return _distinct(runs)
-
-
-def _distinct(runs: Iterable[Run]) -> list[Run]:
-    return list({run.key: run for run in runs}.values())
-
-
-@checks_arguments
 def run_study(
     runs: Iterable[Run | ExperimentSettings], jobs: int | None = None, folder: Path | str = KEPT
 ) -> pd.DataFrame:
@@ -151,9 +53,7 @@ def run_study(
     A failed run has the ``status`` "failed" and a traceback as ``error``. It is not cached, so the next call tries
     again. Raises `InputError` as `run_all` does.
     """
-    wanted = _distinct(
-        each if isinstance(each, Run) else Run(checked_kind(each, "runs", ExperimentSettings, "grid")) for each in runs
-    )
+    wanted = distinct(each if isinstance(each, Run) else Run(each) for each in runs)
     settings, task = [run.settings for run in wanted], partial(_cached_row, str(Path(folder).absolute()))
     with tqdm(total=100, desc="runs", unit=" %", disable=None) as bar:
         found = run_all(settings, lambda share: bar.update(round(100 * share) - bar.n), task, jobs, timed=True)
@@ -203,7 +103,6 @@ def thinned_curves(result: experiment.Result) -> dict[str, np.ndarray]:
     }
 
 
-@checks_arguments
 def study_curves(table: pd.DataFrame) -> pd.DataFrame:
     """The thinned curves of some runs in long form, one row per sample: the columns `RUN_COLUMNS`, ``time_s``, the
     errors without and with correction, ``raw_m`` and ``error_m``, and ``matches``, the number of correspondences."""
@@ -233,7 +132,6 @@ def write_runs(folder: Path | str, table: pd.DataFrame) -> None:
         timing.to_parquet(new / TIMING, index=False, compression="zstd", compression_level=9)
 
 
-@checks_arguments
 def read_runs(folder: Path | str) -> pd.DataFrame:
     """Read the table that `write_runs` wrote. Raises `InputError`."""
     table = _read_table(Path(folder, RUNS), "the table of a study")

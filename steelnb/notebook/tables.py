@@ -9,11 +9,10 @@ import numpy as np
 import pandas as pd
 
 from steelnb import experiment
+from steelnb.notebook.cases import case_of
 from steelnb.settings import ExperimentSettings, LoamSettings, RegistrationSettings, ReportCloudSettings, TowerSettings
 from steelnb.settings.presets import TOWERS
 
-CASE_COLUMNS = ("trajectory", "noise", "method", "sensor", "seed")
-"""The columns of `case_of`."""
 TITLE = "{trajectory} flight, {noise}, sensor {sensor}, seed {seed}"
 CLOUD_CASE = ("trajectory", "noise", "method", "map")
 """Columns that identify a run of a point-cloud odometry."""
@@ -37,17 +36,6 @@ HEADS = {
     "angle_median_deg": "angle, median (°)", "joint_error_median_m": "joints off, median (m)",
 }  # fmt: skip
 """Heads of columns of which `column_head` would make other words."""
-
-
-def case_of(settings: ExperimentSettings) -> dict[str, Any]:
-    """The columns that name a run in tables."""
-    return {
-        "trajectory": settings.flight.trajectory,
-        "noise": settings.noise_name,
-        "method": settings.odometry.method,
-        "sensor": settings.sensor,
-        "seed": settings.seed,
-    }
 
 
 def tower_name(settings: ExperimentSettings) -> str:

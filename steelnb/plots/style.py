@@ -85,7 +85,7 @@ BANDS: dict[str, Any] = {
     "hue": "curve", "palette": COLOURS,
     "size": "curve", "sizes": {"draws": 1.8, "draw": 1.0, "report": 2.0},
 }  # fmt: skip
-"""How seaborn draws a table of `notebook.bands.draw_programs`."""
+"""How seaborn draws a table of `notebook.report.draw_programs`."""
 LOOK: Any = {
     "font.size": 11,
     "axes.titlesize": 12,

@@ -21,8 +21,8 @@ from steelnb.notebook.claims import (
     read_claims,
     verdict_table,
 )
+from steelnb.notebook.frames import frame_runs
 from steelnb.notebook.report import sample_runs
-from steelnb.notebook.single_frames import frame_runs
 
 ROOT = Path(__file__).parents[2]
 NOISES = ("random-walk", "constant-drift")

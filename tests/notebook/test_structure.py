@@ -4,11 +4,13 @@ import numpy as np
 
 from steelnb.core.types import Segments
 from steelnb.notebook.structure import fly_tower
+from steelnb.settings import ExperimentSettings
 
 
 def test_a_bar_moved_to_the_sensor_is_nearer_by_as_much():
     overrides = {"tof.columns": 90, "tof.rows": 120}
-    source = fly_tower("zigzag", "starling2", "random-walk", "none", 11, 12.0, overrides=overrides)
+    settings = ExperimentSettings.preset("zigzag", method="none", seed=11, duration_s=12.0, overrides=overrides)
+    source = fly_tower("tapered", settings)
     begin, end = source.reference.axes[:, 0], source.reference.axes[:, 1]
     count = len(begin)
     member = np.arange(count)

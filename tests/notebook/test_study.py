@@ -18,16 +18,12 @@ from steelnb.core.cache import PACKAGE
 from steelnb.core.errors import InputError, OutputError
 from steelnb.metrics import diagnose, position_error_m
 from steelnb.notebook import runs, study
+from steelnb.notebook.cases import RUN_COLUMNS, Grid, Run, grid, read_grids
 from steelnb.notebook.runs import run_all
 from steelnb.notebook.study import (
     CURVE_SAMPLES,
     CURVES,
-    RUN_COLUMNS,
     TIMES,
-    Grid,
-    Run,
-    grid,
-    read_grids,
     read_runs,
     run_study,
     study_curves,
@@ -249,7 +245,7 @@ def test_a_grid_has_every_combination_and_both_ends_of_a_range(tmp_path):
 
 def test_what_is_given_twice_runs_once(tmp_path, made):
     axes = {"trajectories": ["loops"] * 2, "noises": ["none"] * 2, "sensors": ["starling2"] * 2, "duration_s": 1.0}
-    runs = study.grid(seeds=[2, 2, "1-2"], methods=["none", "none"], **axes)
+    runs = grid(seeds=[2, 2, "1-2"], methods=["none", "none"], **axes)
     assert [run.case["seed"] for run in runs] == [2, 1]
     table = run_study([*runs, *runs], folder=tmp_path / "rows")
     assert len(table) == len(made) == 2

@@ -3,7 +3,7 @@ import pytest
 
 from steelnb.core.errors import InputError
 from steelnb.core.geometry import transform_points
-from steelnb.notebook.icp_steps import START, icp_steps
+from steelnb.notebook.basin import START, icp_steps
 from steelnb.registration import register
 
 
