@@ -23,7 +23,7 @@ from steelnb.settings.odometry import (
     SensorPreset,
 )
 from steelnb.settings.presets import METHODS, SENSORS, TOWERS
-from steelnb.settings.recording import RecordingOptions
+from steelnb.settings.recording import RecordingOptions, read_options
 from steelnb.settings.report_plots import read_report_plots
 from steelnb.settings.stages import FusionSettings, HoughSettings, PreprocessSettings, StructureSettings
 from steelnb.settings.world import (
@@ -46,5 +46,5 @@ __all__ = [
     "LibrarySettings", "LoamSettings", "Noise", "OdometrySettings", "OrbSettings", "PreprocessSettings",
     "RecordingOptions", "RegistrationSettings", "ReportCloudSettings", "ReportSegmentSettings", "SegmentSettings",
     "SensorPreset", "Settings", "StructureSettings", "TofFault", "TofSettings", "TowerSettings", "TrajectoryName",
-    "parse_parameter", "read_report_plots", "read_tables",
+    "parse_parameter", "read_options", "read_report_plots", "read_tables",
 ]  # fmt: skip

@@ -1,12 +1,15 @@
 """What a recording or a cloud does not say itself: options of the commands, or keys of ``recording.toml`` beside it."""
 
 import re
-from typing import Annotated, ClassVar, Literal
+from pathlib import Path
+from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import Field, field_validator
 
+from steelnb.core.errors import InputError
 from steelnb.core.types import Array
 from steelnb.settings.base import Finite, Settings
+from steelnb.settings.presets import read_toml
 from steelnb.settings.world import CameraSettings
 
 METRES = {"m": 1.0, "dm": 0.1, "cm": 0.01, "mm": 0.001, "ft": 0.3048, "in": 0.0254}
@@ -71,6 +74,19 @@ class RecordingOptions(Settings):
         if self.mount is None:
             return None
         return CameraSettings(mount_m=self.mount[:3], mount_rpy_deg=self.mount[3:]).T_drone_sensor
+
+
+def read_options(folder: Path, **stated: Any) -> RecordingOptions:
+    """What a user states about the data in a ``folder``: the keys of its ``recording.toml``, if there is one, and the
+    ``stated`` options, which win unless they are None. Raises `InputError`, which names the file of a wrong key."""
+    beside = {}
+    if (path := folder / "recording.toml").is_file():
+        beside = read_toml(path, "options of a recording")
+        try:
+            RecordingOptions(**beside)
+        except InputError as fault:
+            raise InputError(f"{path}: {fault}") from None
+    return RecordingOptions(**beside | {name: value for name, value in stated.items() if value is not None})
 
 
 def metres_of(unit: str) -> float:

@@ -15,9 +15,11 @@ from steelnb.settings import (
     FlightSettings,
     Noise,
     OdometrySettings,
+    RecordingOptions,
     TofFault,
     TofSettings,
     TowerSettings,
+    read_options,
     read_report_plots,
 )
 from steelnb.settings.odometry import FAMILIES
@@ -403,3 +405,18 @@ def test_numbers_of_pandas_are_settings():
     settings = ExperimentSettings.preset("loops", overrides=given)
     assert settings.tof.mount_m == (0.1, 0.0, 0.0)
     assert settings.flight.standoff_m == 1.5
+
+
+def test_options_of_a_recording_stand_beside_it(tmp_path):
+    assert read_options(tmp_path) == read_options(tmp_path, unit=None) == RecordingOptions()
+    (tmp_path / "recording.toml").write_text('unit = "mm"\ncolumns = ["t", "x", "y", "z"]\ntime_offset = -18\n')
+    beside = read_options(tmp_path)
+    assert (beside.unit_m, beside.columns, beside.time_offset) == (1e-3, ("t", "x", "y", "z"), -18.0)
+    assert read_options(tmp_path, unit="ft") == beside.replace(unit="ft")
+
+
+@pytest.mark.parametrize("line", ['units = "mm"', 'unit = "mmm"', "time_offset = true", "mount = [1, 2]", "range = -1"])
+def test_wrong_key_of_a_recording_names_its_file(tmp_path, line):
+    (tmp_path / "recording.toml").write_text(line)
+    with pytest.raises(InputError, match=f"recording.toml.*{line.split()[0]}"):
+        read_options(tmp_path)
