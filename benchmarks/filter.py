@@ -19,9 +19,8 @@ from steelnb.core.types import Array, Flight, Imu
 from steelnb.fusion.adjustment.imu_factors import FORCE, GYRO, POSITION, ROTATION, VELOCITY
 from steelnb.fusion.adjustment.uncertainty import with_range_sigmas
 from steelnb.odometry import make_odometry, run
-from steelnb.odometry.faces.odometry import FaceOdometry
-from steelnb.odometry.imu_filter import InertialPrediction
-from steelnb.odometry.inertial_state import State
+from steelnb.odometry.faces import FaceOdometry
+from steelnb.odometry.inertial import InertialPrediction, State
 from steelnb.points.calibration import calibrated
 from steelnb.settings import ExperimentSettings, StructureSettings, TrajectoryName
 from steelnb.simulation import Truth, fly, measured_imu

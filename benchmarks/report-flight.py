@@ -26,7 +26,7 @@ from scipy.spatial import cKDTree
 
 from steelnb.core import rng
 from steelnb.core.types import Array, IntArray, Scan
-from steelnb.odometry.report.segments import FLOOR_M, NO_FLOOR_M, sorted_segments
+from steelnb.odometry.report_segments import FLOOR_M, NO_FLOOR_M, sorted_segments
 from steelnb.points import preprocess_scan
 from steelnb.settings import ExperimentSettings, HoughSettings, TowerSettings
 from steelnb.settings.presets import sensor_tables

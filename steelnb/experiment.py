@@ -26,7 +26,7 @@ from steelnb.simulation import (
     photograph,
     scan_flight,
 )
-from steelnb.simulation.noise import drifting
+from steelnb.simulation.drift import drifting
 from steelnb.simulation.tof import add_noise, noise_free
 
 OnProgress = Callable[[float], None]

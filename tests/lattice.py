@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 
 from steelnb.settings import TowerSettings
 from steelnb.simulation import Member, Tower
-from steelnb.simulation.members import ON_PLATE
+from steelnb.simulation.mesh import ON_PLATE
 
 
 def lattice(height: float = 15.0, base: float = 6.0, top: float = 3.0, panels: int = 5) -> np.ndarray:

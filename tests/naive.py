@@ -231,7 +231,7 @@ def loam_features(image, edges, planes, side=5, regions=4, smooth=5e-3, grazing=
 def match_features(
     pixel, octave, descriptor, depth, expected, expected_octave, expected_depth, wanted, search_px, hamming_max, ratio
 ):
-    """The rule of `steelnb.odometry.orb.features.match` from whole tables."""
+    """The rule of `steelnb.odometry.orb_features.match` from whole tables."""
     bits = np.unpackbits((wanted[:, None] ^ descriptor[None]).view(np.uint8), axis=2).sum(axis=2).astype(float)
     with np.errstate(invalid="ignore"):
         other_depth = np.abs(expected_depth[:, None] - depth) > 5 * np.maximum(0.01, 0.01 * depth)
@@ -465,7 +465,7 @@ def integrated(at_s, force, rate, stamp_s, bias):
 
 
 def fill_bundle(T, plane, grid_px, lateral_px, pixel):
-    """`simulation.phasors.fill_bundle`: rays through displaced points of the image plane."""
+    """`simulation.tof_faults.fill_bundle`: rays through displaced points of the image plane."""
     y, z = np.moveaxis(plane + (grid_px[:, None] + lateral_px) * pixel, -1, 0)[..., None]
     T = T[:, None, :3]
     bundle = np.empty((*y.shape[:2], 6), np.float32)
@@ -475,6 +475,6 @@ def fill_bundle(T, plane, grid_px, lateral_px, pixel):
 
 
 def amplitudes(bundle, range_m, normal, reflectivity):
-    """`simulation.phasors.amplitudes`: Lambert's cosine over the square of the range."""
+    """`simulation.tof_faults.amplitudes`: Lambert's cosine over the square of the range."""
     cosine = np.abs((normal * bundle[..., 3:]).sum(axis=2, dtype=np.float64))
     return (reflectivity * cosine / range_m**2).astype(np.float32)

@@ -30,9 +30,8 @@ from steelnb.core.types import Array, Flight
 from steelnb.fusion.reconstruct import reconstruct
 from steelnb.hough import detect_segments_with
 from steelnb.hough.lines import detect_lines
-from steelnb.odometry import correct
-from steelnb.odometry.faces import odometry as faces
-from steelnb.odometry.sharing import shared_segments
+from steelnb.odometry import correct, faces
+from steelnb.odometry.segments import shared_segments
 from steelnb.points import preprocess_scan
 from steelnb.settings import METHODS, ExperimentSettings, FaceSettings, SegmentSettings, StructureSettings
 

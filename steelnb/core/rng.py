@@ -9,7 +9,7 @@ from steelnb.core.checks import checked_integer
 
 Seed = int | Literal["report"]
 """A non-negative integer, or ``report``: the drift then uses the random draws of the report's program
-(`steelnb.simulation.noise`)."""
+(`steelnb.simulation.drift`)."""
 REPORT_SEED = 42
 """The seed of the report's program."""
 

@@ -1,7 +1,7 @@
 """Errors of estimates against the truth."""
 
 from steelnb.metrics.clouds import basin_radius_m, bend, largest_slip, paired_clouds
-from steelnb.metrics.run import WRONG_M, WRONG_SHARE, diagnose, score_estimate
+from steelnb.metrics.scores import WRONG_M, WRONG_SHARE, diagnose, score_estimate
 from steelnb.metrics.segments import SeenMembers, SegmentScore, score_segments, seen_members
 from steelnb.metrics.trajectory import position_error_m, score_gaps, score_trajectory
 

@@ -2,6 +2,7 @@
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from steelnb.core.arguments import checks_arguments
@@ -20,9 +21,9 @@ from steelnb.core.types import Array, Flight
 from steelnb.metrics.trajectory import pairs_in_time
 from steelnb.points import preprocess_scan
 from steelnb.settings import PreprocessSettings
-from steelnb.simulation import Truth
+from steelnb.simulation.truth import SLICE_M, Truth
 
-SLICE_M, POINTS_MIN = 1.0, 200
+BEND_SLICE_M, POINTS_MIN = 1.0, 200
 """Height of the slices in which a bend is measured, and minimum number of points of a slice."""
 
 
@@ -31,8 +32,8 @@ def bend(built: Array, true: Array, axis: ArrayLike = (0.0, 0.0)) -> dict[str, f
     """Measure how a cloud is bent: fit a rigid motion (Kabsch 1976) from the true to the built cloud in each horizontal
     slice. Both are ``(N, 3)``, metres, world frame.
 
-    Row k of ``built`` and ``true`` is the same return at the estimated and at the true pose. Slices of `SLICE_M` start
-    at true height zero. Those with fewer than `POINTS_MIN` points are dropped. Raises `InputError` if no slice
+    Row k of ``built`` and ``true`` is the same return at the estimated and at the true pose. Slices of `BEND_SLICE_M`
+    start at true height zero. Those with fewer than `POINTS_MIN` points are dropped. Raises `InputError` if no slice
     remains, or if the shapes differ.
 
     Returns ``bend_deg``, the angle between the rotations of the lowest and the highest slice; the maximum over the
@@ -44,15 +45,15 @@ def bend(built: Array, true: Array, axis: ArrayLike = (0.0, 0.0)) -> dict[str, f
     if built.shape != true.shape:
         raise InputError(f"built {built.shape} and true {true.shape}: expected pairs of points")
     axis = checked_array(axis, "axis", (2,))
-    level = np.floor(true[:, 2] / SLICE_M).astype(int)
+    level = np.floor(true[:, 2] / BEND_SLICE_M).astype(int)
     levels, counts = np.unique(level, return_counts=True)
     levels, counts = levels[counts >= POINTS_MIN], counts[counts >= POINTS_MIN]
     if not len(levels):
-        raise InputError(f"no slice of {SLICE_M} m has {POINTS_MIN} points")
+        raise InputError(f"no slice of {BEND_SLICE_M} m has {POINTS_MIN} points")
     motions, blur_m = zip(*(_rigid_fit(true[level == each], built[level == each]) for each in levels), strict=True)
     T = np.array(motions)
     up = T[:, :3, 2]
-    upright = np.column_stack([np.tile(axis, (len(levels), 1)), (levels + 0.5) * SLICE_M])
+    upright = np.column_stack([np.tile(axis, (len(levels), 1)), (levels + 0.5) * BEND_SLICE_M])
     offset = np.einsum("sij,sj->si", T[:, :3, :3], upright) + T[:, :3, 3] - upright
     between = Rotation.from_matrix(T[-1, :3, :3] @ T[0, :3, :3].T)
     return {
@@ -121,3 +122,33 @@ def paired_clouds(
         return np.concatenate([transform_points(T[k], points) for k, points in zip(shown, scans, strict=True)])
 
     return placed(estimated), placed(true)
+
+
+STEEL_M = 0.15
+"""Maximum distance of a return from the middle of the slice that it counts for."""
+EVERY = 5
+"""Only every fifth return is looked up."""
+
+
+def sight(flight: Flight, truth: Truth, floor_m: float) -> tuple[Array, Array]:
+    """Number of returns above ``floor_m`` at the true pose, and share of the steel observed so far, of each scan."""
+    tree = cKDTree(slices(truth.tower.axes))
+    seen, returns, shares = np.zeros(tree.n, dtype=bool), [], []
+    T_world_sensor = truth.trajectory.at(flight.prior.stamp_s).T_world_drone @ flight.T_drone_sensor
+    for scan, T in zip(flight.scans, T_world_sensor, strict=True):
+        points = transform_points(T, scan.points.reshape(-1, 3))
+        points = points[points[:, 2] > floor_m]  # a pixel without a return is NaN
+        near = tree.query(points[::EVERY], distance_upper_bound=STEEL_M)[1]
+        seen[near[near < tree.n]] = True
+        returns.append(len(points))
+        shares.append(seen.mean())
+    return np.array(returns), np.array(shares)
+
+
+def slices(axes: Array) -> Array:
+    """Middles ``(S, 3)`` of the slices of all members ``(M, 2, 3)``."""
+    middles = []
+    for begin, end in axes:
+        count = max(1, round(float(np.linalg.norm(end - begin)) / SLICE_M))
+        middles.append(begin + (np.arange(count)[:, None] + 0.5) / count * (end - begin))
+    return np.concatenate(middles)

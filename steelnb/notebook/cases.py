@@ -403,7 +403,7 @@ class Grid(Settings):
         for sensor, trajectory, seed, noise, (variant, changes), method in itertools.product(*axes):
             settings = ExperimentSettings.preset(trajectory, noise, method, sensor, seed, self.duration_s, changes)
             if self.calibrated:
-                from steelnb.simulation.calibration import measure_calibration
+                from steelnb.simulation.tof import measure_calibration
 
                 settings = settings.override(measure_calibration(settings.tof, seed))
             runs.append(Run(settings, variant))

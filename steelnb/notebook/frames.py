@@ -26,11 +26,11 @@ from steelnb.hough.whole_structure.search import segment_structure
 from steelnb.metrics import SeenMembers, SegmentScore, score_segments, seen_members
 from steelnb.metrics.structure import Reference, reference, score_structure
 from steelnb.notebook.cases import cloud_case
-from steelnb.odometry.orb.features import features_with_depth, match
+from steelnb.odometry.orb_features import features_with_depth, match
 from steelnb.points import preprocess_scan, voxel_grid
 from steelnb.settings import FlightSettings, TofSettings, TowerSettings
 from steelnb.simulation import Truth, build_tower
-from steelnb.simulation.paths import pose_on_path
+from steelnb.simulation.flight import pose_on_path
 from steelnb.simulation.tof import TofCamera, take_view
 from steelnb.simulation.truth import SLICE_M
 

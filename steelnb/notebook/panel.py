@@ -15,7 +15,7 @@ from steelnb.metrics import paired_clouds
 from steelnb.notebook.runs import Flights
 from steelnb.notebook.tables import title
 from steelnb.plots import COLOURS, LABELS
-from steelnb.plots.flight import figure_flight
+from steelnb.plots.draw import figure_flight
 from steelnb.plots.scene3d import HEIGHT_PX, figure_scene, plotly_bundle
 from steelnb.settings import METHODS, SENSORS, TRAJECTORIES, ExperimentSettings
 from steelnb.settings.world import at_level

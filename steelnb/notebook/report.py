@@ -21,7 +21,7 @@ from steelnb.plots.style import log_axis
 from steelnb.settings import ExperimentSettings, Noise
 from steelnb.settings.report_plots import STEP_S, ReportPlot, read_report_plots
 from steelnb.simulation import Tower
-from steelnb.simulation.noise import drift_size
+from steelnb.simulation.drift import drift_size
 
 REPORT_FIGURE = {"vertical": "3_2", "orbit": "3_3", "random-walk": "3_5", "constant-drift": "3_6"}
 """The report's figure, as in file names: by flight for segment odometry, by noise for point-cloud odometry."""

@@ -19,7 +19,7 @@ from steelnb.core.types import Array, Flight
 from steelnb.odometry import shared_segments
 from steelnb.settings import ExperimentSettings
 from steelnb.simulation import Tower, Truth, build_tower, fly
-from steelnb.simulation.noise import drifting
+from steelnb.simulation.drift import drifting
 
 T = TypeVar("T")
 

@@ -10,10 +10,9 @@ from steelnb.core.geometry import transform_points
 from steelnb.core.types import Array, Imu, IntArray, Scan
 from steelnb.fusion.point_to_bar import world_points
 from steelnb.odometry.base import BaseOdometry, Outcome, Stopwatch
-from steelnb.odometry.drift_filter import make_prediction
-from steelnb.odometry.near_side import NearSide
+from steelnb.odometry.inertial import make_prediction
+from steelnb.odometry.near_side import NearSide, parted, pixels_on_surfaces, within_plane
 from steelnb.odometry.prediction import LastingError, RegisteredPose
-from steelnb.odometry.wide_surfaces import parted, pixels_on_surfaces, within_plane
 from steelnb.points import VoxelMap, preprocess_scan, smooth_ranges
 from steelnb.points.covariances import UPPER, neighbour_covariances, regularised
 from steelnb.points.kdtree import build_kdtree

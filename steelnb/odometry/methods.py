@@ -13,18 +13,16 @@ from steelnb.core.types import Array, CameraImages, Flight, Imu
 from steelnb.fusion.adjustment.imu_factors import check_imu
 from steelnb.fusion.adjustment.smooth import smooth
 from steelnb.fusion.adjustment.uncertainty import with_range_sigmas
-from steelnb.odometry.base import BaseOdometry, Odometry
+from steelnb.odometry.base import BaseOdometry, Odometry, OnStep, make_own, run
 from steelnb.odometry.clouds import CloudOdometry
-from steelnb.odometry.deepvo.odometry import DeepVoOdometry
-from steelnb.odometry.faces.odometry import FaceOdometry
+from steelnb.odometry.deepvo import DeepVoOdometry
+from steelnb.odometry.faces import FaceOdometry
 from steelnb.odometry.libraries import PeerOdometry
-from steelnb.odometry.loam.odometry import LoamOdometry
-from steelnb.odometry.orb.odometry import OrbOdometry
-from steelnb.odometry.plugins import make_own
-from steelnb.odometry.report.clouds import ReportCloudOdometry
-from steelnb.odometry.report.segments import ReportSegmentOdometry
-from steelnb.odometry.run import OnStep, run
-from steelnb.odometry.segments.odometry import SegmentOdometry
+from steelnb.odometry.loam import LoamOdometry
+from steelnb.odometry.orb import OrbOdometry
+from steelnb.odometry.report_clouds import ReportCloudOdometry
+from steelnb.odometry.report_segments import ReportSegmentOdometry
+from steelnb.odometry.segments import SegmentOdometry
 from steelnb.settings import OdometrySettings, StructureSettings
 
 

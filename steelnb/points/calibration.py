@@ -1,7 +1,7 @@
 """Ranges of a calibrated camera: the driver's, corrected by the scale and offset that its owner measured.
 
 Neither shows in the scans of a flight, where map and path grow by the same share. Against known distances they show in
-minutes (`steelnb.simulation.calibration`, docs/settings.md).
+minutes (`steelnb.simulation.tof`, docs/settings.md).
 """
 
 from collections.abc import Sequence

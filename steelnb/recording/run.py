@@ -21,8 +21,8 @@ from steelnb.fusion.structure import Structure
 from steelnb.io import write_segments, write_structure, write_tum
 from steelnb.io.clouds import write_map
 from steelnb.io.recordings import UNREADABLE
-from steelnb.odometry.rest import rest_duration_s
-from steelnb.plots.flight import figure_bars, figure_flight
+from steelnb.odometry.standstill import rest_duration_s
+from steelnb.plots.draw import figure_bars, figure_flight
 from steelnb.plots.style import COLOURS, LABELS
 from steelnb.points.calibration import calibrated
 from steelnb.recording.evaluate import TIMES, evaluate, references

@@ -19,7 +19,7 @@ from steelnb.hough.whole_structure.search import MIN_VOTES
 from steelnb.io.clouds import Cloud, read_cloud
 from steelnb.io.coordinates import STRAY_M
 from steelnb.io.structures import write_segments
-from steelnb.plots.flight import figure_bars
+from steelnb.plots.draw import figure_bars
 from steelnb.plots.scene3d import figure_cloud
 from steelnb.points import voxel_grid
 from steelnb.points.surfaces import Surface

@@ -24,7 +24,7 @@ def _with_noise(imu: ImuSettings | None) -> ImuSettings | None:
 
 InertialNoise = Annotated[ImuSettings | None, AfterValidator(_with_noise), OrNone]
 """Errors of the IMU, None to use no IMU. Its readings predict the pose of each scan
-(`steelnb.odometry.imu_filter`) and take part in smoothing."""
+(`steelnb.odometry.inertial`) and take part in smoothing."""
 
 
 class OdometrySettings(Settings):
@@ -72,7 +72,7 @@ class OdometrySettings(Settings):
 
 
 class SegmentSettings(OdometrySettings):
-    """Odometry by segments; the method names the correction rule (`steelnb.odometry.segments.corrections`).
+    """Odometry by segments; the method names the correction rule (`steelnb.odometry.segments`).
 
     ``robust_scale_m``: scale of the robust weights (Geman-McClure) of both least-squares rules.
     """
@@ -142,7 +142,7 @@ class LoamSettings(MapSettings):
 
     @property
     def registration(self) -> RegistrationSettings:
-        """Features are matched like distributions, as `steelnb.odometry.loam.target` makes covariances of them."""
+        """Features are matched like distributions, as `steelnb.odometry.loam` makes covariances of them."""
         return RegistrationSettings(
             method=self.method, preprocess=self.preprocess, smooth=self.smooth,
             max_correspondence_m=self.max_correspondence_m, map_voxel_m=self.map_voxel_m,
@@ -174,7 +174,7 @@ CloudTrait = Literal["floor", "thinning", "mount", "gates", "order", "covariance
 
 
 class ReportCloudSettings(OdometrySettings):
-    """The report's programs for odometry by clouds, one per method (`steelnb.odometry.report.clouds`).
+    """The report's programs for odometry by clouds, one per method (`steelnb.odometry.report_clouds`).
 
     ``switched`` names the original's traits to replace. ``floor``: points below ``preprocess.floor_m`` are cut off.
     ``thinning``: the scan is downsampled by a voxel grid of ``preprocess.voxel_leaf_m``. ``mount``: the scan is placed
@@ -197,7 +197,7 @@ class ReportCloudSettings(OdometrySettings):
 
 
 class ReportSegmentSettings(OdometrySettings):
-    """The report's program for odometry by segments (`steelnb.odometry.report.segments`)."""
+    """The report's program for odometry by segments (`steelnb.odometry.report_segments`)."""
 
     family: ClassVar[str] = "report_segments"
     hough: HoughSettings = HoughSettings()

@@ -3,10 +3,9 @@
 from steelnb.simulation.camera import FORWARD, Camera, photograph
 from steelnb.simulation.flight import Command, Pilot, fly
 from steelnb.simulation.imu import filtered_attitude, measured_imu
-from steelnb.simulation.members import Member
-from steelnb.simulation.onboard_sensors import OnboardSensors
+from steelnb.simulation.onboard import OnboardSensors
 from steelnb.simulation.tof import scan_flight
-from steelnb.simulation.tower import Tower, build_tower
+from steelnb.simulation.tower import Member, Tower, build_tower
 from steelnb.simulation.truth import Truth, Visibility
 
 __all__ = [

@@ -19,10 +19,8 @@ from steelnb.core.errors import InputError
 from steelnb.core.files import reading
 from steelnb.core.geometry import connected
 from steelnb.core.types import Array
-from steelnb.settings import TowerSettings
 from steelnb.settings.presets import members_file
 from steelnb.settings.world import Kind
-from steelnb.simulation.members import Member, make_member, unit
 
 COLUMNS = ["kind", *(f"{axis}{k}" for k in range(3) for axis in "xyz")]
 WIDTH = "width"
@@ -31,23 +29,6 @@ PLATES = {"plate": [(0, 1, 2), (1, 3, 2)], "triangle": [(0, 1, 2)]}
 """Triangles of a plate by corner; corner 3 lies opposite corner 0."""
 JOINT_M = 0.02
 """Members within this distance of each other share a joint."""
-UPRIGHT, IN_FACE = 0.3, 0.5
-"""A member is upright if the horizontal part of its unit direction is below `UPRIGHT`. Seen from above, a member in a
-face has a slope of at most `IN_FACE` against that face."""
-
-
-def listed_members(settings: TowerSettings) -> tuple[Array, list[Member], Array]:
-    """Joints ``(J, 3)`` and members of the list ``settings.members``, and the triangles ``(P, 3, 3)`` of its plates.
-
-    Joints are the ends of members and the points where they meet. Raises `InputError`.
-    """
-    kinds, ends, plates, widths = read_members(settings.members or "")
-    joints, joints_of = joints_of_members(ends)
-    middle, members = (ends.min(axis=(0, 1)) + ends.max(axis=(0, 1))) / 2, []
-    for kind, (start, end), own, width in zip(kinds, ends - middle, joints_of, widths, strict=True):
-        axis = unit(end - start)
-        members.append(make_member(settings, kind, own, axis, *_flanges(axis, (start + end) / 2), width))
-    return joints, members, plates
 
 
 def leg_half_width(members: str, z: float) -> float:
@@ -157,19 +138,3 @@ def _closest_points(segment: Array, others: Array) -> tuple[Array, Array]:
     t = np.clip((de * s + er) / ee, 0, 1)
     s = np.clip((de * t - dr) / dd, 0, 1)
     return segment[0] + s[:, None] * d, others[:, 0] + t[:, None] * e
-
-
-def _flanges(axis: Array, out: Array) -> tuple[Array, Array]:
-    """Flange directions of a member with a unit ``axis``; ``out`` is its midpoint relative to the tower's centre.
-
-    The flanges of an upright member point inwards along x and y. A member in a face has one flange in the face,
-    pointing downwards, and one inwards. The second flange of a member inside the body points downwards.
-    """
-    down, run, inward = np.array([0.0, 0.0, -1.0]), np.abs(axis[:2]), np.diag(np.where(out > 0, -1.0, 1.0))
-    face = int(np.argmin(run))
-    if np.hypot(*run) < UPRIGHT:
-        return inward[0], inward[1]
-    if run[face] <= IN_FACE * run[1 - face] and abs(out[face]) > JOINT_M:
-        first = np.cross(axis, inward[face])
-        return first if first[2] < 0 else -first, inward[face]
-    return np.cross(axis, down), down

@@ -1,9 +1,10 @@
 """A lattice tower, built from a list of members or from a few dimensions: members, joints and surface mesh."""
 
 import itertools
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from typing import Literal
 
 import numpy as np
 
@@ -11,9 +12,100 @@ from steelnb.core.arguments import checks_arguments
 from steelnb.core.types import Array, IntArray
 from steelnb.settings import TowerSettings
 from steelnb.settings.world import Kind
-from steelnb.simulation.member_list import leg_half_width, listed_members
-from steelnb.simulation.members import ON_PLATE, Member, make_member, mesh_members, unit
-from steelnb.simulation.mesh_file import read_mesh
+from steelnb.simulation.member_list import JOINT_M, joints_of_members, leg_half_width, read_members
+from steelnb.simulation.mesh import ON_PLATE, read_mesh
+
+SIDES_THIN, SIDES, THIN_M = 8, 16, 0.08
+"""Sides of round rods thinner than `THIN_M`, and of the others; surfaces are within 5.4 and 1.3 % of the circle's
+radius."""
+UPRIGHT, IN_FACE = 0.3, 0.5
+"""A member is upright if the horizontal part of its unit direction is below `UPRIGHT`. Seen from above, a member in a
+face has a slope of at most `IN_FACE` against that face."""
+
+
+@dataclass(frozen=True)
+class Member:
+    """A straight bar. The axis of an angle is its heel, the outer corner; that of a round rod is its centre line.
+
+    ``kind``: leg, ring, bracing, arm or secondary; ``section_m``: width and thickness of the flanges, or diameter and
+    radius; ``joints``: indices of its joints from end to end; ``flange_a``, ``flange_b``: unit vectors from the heel
+    along the flanges, world frame; for a round rod, any two directions perpendicular to the axis.
+    """
+
+    kind: Kind
+    section_m: tuple[float, float]
+    joints: tuple[int, ...]
+    flange_a: tuple[float, float, float]
+    flange_b: tuple[float, float, float]
+    section: Literal["angle", "round"] = "angle"
+
+
+def unit(vector: Array) -> Array:
+    """A vector scaled to length 1."""
+    return np.asarray(vector / np.linalg.norm(vector))
+
+
+def make_member(
+    settings: TowerSettings, kind: Kind, joints: tuple[int, ...], axis: Array, first: Array, second: Array,
+    own_width: float | None = None,
+) -> Member:  # fmt: skip
+    """A member with the section of its kind, or that section scaled to its ``own_width``. Its flanges are made
+    perpendicular to the unit ``axis`` and to each other, by Gram-Schmidt: ``second`` before ``first``."""
+    second = unit(second - (second @ axis) * axis)
+    first = first - (first @ axis) * axis
+    first = unit(first - (first @ second) * second)
+    width, thickness = settings.sections_m[kind]
+    if own_width is not None:
+        width, thickness = own_width, thickness * own_width / width
+    size = (width, thickness if settings.section == "angle" else width / 2)
+    return Member(kind, size, joints, tuple(first.tolist()), tuple(second.tolist()), settings.section)
+
+
+def mesh_members(joints: Array, members: Sequence[Member]) -> tuple[Array, IntArray, IntArray]:
+    """Closed prisms with the outlines of the sections: vertices ``(V, 3)``, triangles ``(T, 3)`` and the member of each
+    ``(T,)``. The vertices of a member are consecutive, those at its first joint first."""
+    vertices, triangles, count = [], [], 0
+    for member in members:
+        outline, prism = _angle(*member.section_m), _ANGLE_PRISM
+        start, end = joints[[member.joints[0], member.joints[-1]]]
+        if member.section == "round":
+            sides = SIDES_THIN if member.section_m[0] < THIN_M else SIDES
+            outline, prism = _circle(member.section_m[0] / 2, sides), _ROUND_PRISMS[sides]
+            if np.cross(member.flange_a, member.flange_b) @ (end - start) < 0:
+                prism = prism[:, ::-1]
+        offset = outline @ np.array([member.flange_a, member.flange_b])
+        vertices += [start + offset, end + offset]
+        triangles.append(count + prism)
+        count += 2 * len(outline)
+    owner = np.repeat(np.arange(len(members)), [len(prism) for prism in triangles])
+    return np.concatenate(vertices), np.concatenate(triangles), owner
+
+
+def _angle(width: float, thickness: float) -> Array:
+    return np.array([(0, 0), (width, 0), (width, thickness), (thickness, thickness), (thickness, width), (0, width)])
+
+
+def _circle(radius_m: float, sides: int) -> Array:
+    """A regular polygon with the area of the circle."""
+    angle, reach = 2 * np.pi * np.arange(sides) / sides, np.sqrt(2 * np.pi / (sides * np.sin(2 * np.pi / sides)))
+    return np.asarray(radius_m * reach * np.stack([np.cos(angle), np.sin(angle)], axis=1))
+
+
+_SIDES = [t for i in range(6) for j in [(i + 1) % 6] for t in ((i, j, 6 + j), (i, 6 + j, 6 + i))]
+_ENDS = [(0, 1, 2), (0, 2, 3), (0, 3, 5), (3, 4, 5)]
+_ANGLE_PRISM = np.array([*_SIDES, *(t[::-1] for t in _ENDS), *(tuple(6 + i for i in t) for t in _ENDS)])
+"""Triangles of a closed prism with the outline of `_angle`: corners 0–5 at the start, 6–11 at the end."""
+
+
+def _round_prism(sides: int) -> IntArray:
+    """The same for the outline of `_circle`."""
+    low = np.arange(sides)
+    high, fan = np.roll(low, -1), np.stack([0 * low[2:], low[1:-1], low[2:]], 1)
+    walls = np.stack([low, high, low + sides], 1), np.stack([high, high + sides, low + sides], 1)
+    return np.concatenate([*walls, fan[:, ::-1], sides + fan])
+
+
+_ROUND_PRISMS = {sides: _round_prism(sides) for sides in (SIDES_THIN, SIDES)}
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,7 +151,7 @@ def _built(settings: TowerSettings, _file_bytes: bytes) -> Tower:
         joints, members = _tapered_members(settings)
         plates = np.zeros((0, 3, 3))
     else:
-        joints, members, plates = listed_members(settings)
+        joints, members, plates = _listed_members(settings)
     vertices, triangles, owner = mesh_members(joints, members)
     triangles = np.concatenate([triangles, len(vertices) + np.arange(3 * len(plates)).reshape(-1, 3)])
     vertices = np.concatenate([vertices, plates.reshape(-1, 3)])
@@ -71,6 +163,36 @@ def _built(settings: TowerSettings, _file_bytes: bytes) -> Tower:
     for array in (joints, vertices, triangles, owner):
         array.setflags(write=False)
     return tower
+
+
+def _listed_members(settings: TowerSettings) -> tuple[Array, list[Member], Array]:
+    """Joints ``(J, 3)`` and members of the list ``settings.members``, and the triangles ``(P, 3, 3)`` of its plates.
+
+    Joints are the ends of members and the points where they meet. Raises `InputError`.
+    """
+    kinds, ends, plates, widths = read_members(settings.members or "")
+    joints, joints_of = joints_of_members(ends)
+    middle, members = (ends.min(axis=(0, 1)) + ends.max(axis=(0, 1))) / 2, []
+    for kind, (start, end), own, width in zip(kinds, ends - middle, joints_of, widths, strict=True):
+        axis = unit(end - start)
+        members.append(make_member(settings, kind, own, axis, *_flanges(axis, (start + end) / 2), width))
+    return joints, members, plates
+
+
+def _flanges(axis: Array, out: Array) -> tuple[Array, Array]:
+    """Flange directions of a member with a unit ``axis``; ``out`` is its midpoint relative to the tower's centre.
+
+    The flanges of an upright member point inwards along x and y. A member in a face has one flange in the face,
+    pointing downwards, and one inwards. The second flange of a member inside the body points downwards.
+    """
+    down, run, inward = np.array([0.0, 0.0, -1.0]), np.abs(axis[:2]), np.diag(np.where(out > 0, -1.0, 1.0))
+    face = int(np.argmin(run))
+    if np.hypot(*run) < UPRIGHT:
+        return inward[0], inward[1]
+    if run[face] <= IN_FACE * run[1 - face] and abs(out[face]) > JOINT_M:
+        first = np.cross(axis, inward[face])
+        return first if first[2] < 0 else -first, inward[face]
+    return np.cross(axis, down), down
 
 
 def half_width(settings: TowerSettings, z: float) -> float:

@@ -18,7 +18,7 @@ from steelnb.metrics.segments import match_members
 from steelnb.metrics.structure import reference, score_structure
 from steelnb.points import VoxelMap
 from steelnb.settings import ExperimentSettings, StructureSettings
-from steelnb.simulation.members import ON_PLATE
+from steelnb.simulation.mesh import ON_PLATE
 from steelnb.simulation.truth import SliceCounter
 from tests.fusion.made import around, small_tower
 from tests.lattice import with_plate

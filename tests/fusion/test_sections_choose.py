@@ -16,7 +16,7 @@ from steelnb.fusion.sections.histogram import VIEWS
 from steelnb.metrics.segments import match_members
 from steelnb.settings import StructureSettings
 from steelnb.simulation import Tower
-from steelnb.simulation.members import mesh_members
+from steelnb.simulation.tower import mesh_members
 from tests import naive
 from tests.fusion.made import around, small_tower
 from tests.lattice import build_tubes, with_plate

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from steelnb import experiment
-from steelnb.metrics.visibility import sight, slices
+from steelnb.metrics.clouds import sight, slices
 from steelnb.settings import ExperimentSettings
 from steelnb.simulation.truth import SLICE_M
 

@@ -8,7 +8,7 @@ from steelnb import experiment
 from steelnb.core.errors import InputError
 from steelnb.notebook.frames import Scenes, attempt, match_images, trial_table, trial_timing
 from steelnb.settings import ExperimentSettings, FlightSettings, TofSettings
-from steelnb.simulation.paths import pose_on_path
+from steelnb.simulation.flight import pose_on_path
 from steelnb.simulation.tof import TofCamera, take_view
 
 

@@ -5,7 +5,7 @@ import pytest
 
 from steelnb.notebook.report import report_curve
 from steelnb.settings import Noise, read_report_plots
-from steelnb.simulation.noise import drift_errors
+from steelnb.simulation.drift import drift_errors
 
 UNEVEN = [plot for plot in read_report_plots() if not plot.steps_per_sample]
 EVEN = [plot for plot in read_report_plots() if plot.steps_per_sample]

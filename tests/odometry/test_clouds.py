@@ -6,7 +6,7 @@ from scipy.spatial import cKDTree
 
 from steelnb import experiment, odometry
 from steelnb.metrics import position_error_m
-from steelnb.odometry import CloudOdometry, clouds, drift_filter
+from steelnb.odometry import CloudOdometry, clouds, prediction
 from steelnb.points import VoxelMap, preprocess_scan
 from steelnb.settings import METHODS, ExperimentSettings, OdometrySettings
 
@@ -108,7 +108,7 @@ def test_a_constant_drift_is_followed_by_its_rate(world, run, monkeypatch):
     hasty = clouds.MEASURED._replace(iterations_max={"xyz_yaw": 3})
     monkeypatch.setitem(clouds.MAPS, "measured", hasty)
     estimator, _, error = run.__wrapped__("best")
-    monkeypatch.setattr(drift_filter, "DRIFT_GAIN", 0.0)
+    monkeypatch.setattr(prediction, "DRIFT_GAIN", 0.0)
     behind = run.__wrapped__("best")[2]
     drift = flight.prior.position - truth.trajectory.at(flight.prior.stamp_s).position
     rate = -(drift[-1] - drift[0]) / (len(drift) - 1)

@@ -9,16 +9,20 @@ from steelnb.core.errors import InputError
 from steelnb.core.types import Trajectory
 from steelnb.metrics import position_error_m
 from steelnb.odometry import DeepVoOdometry, make_odometry, run
-from steelnb.odometry.deepvo.network import VERSION, WEIGHTS, convolved, read_network, write_network
-from steelnb.odometry.deepvo.odometry import (
+from steelnb.odometry.deepvo import (
     COLUMNS,
     MIRROR,
     ROWS,
     TAN_HALF_HEIGHT,
     TAN_HALF_WIDTH,
+    VERSION,
+    WEIGHTS,
+    convolved,
     derotated,
     level_pair,
     motions,
+    read_network,
+    write_network,
 )
 from steelnb.settings import ExperimentSettings, OdometrySettings
 from tests import naive

@@ -9,11 +9,9 @@ from scipy.spatial.transform import Rotation
 from steelnb import experiment, odometry
 from steelnb.core.types import Flight, Scan, Trajectory
 from steelnb.metrics import position_error_m
-from steelnb.odometry import CloudOdometry, FaceOdometry, make_odometry
-from steelnb.odometry.faces import keyframes
-from steelnb.odometry.faces import odometry as faces
-from steelnb.odometry.faces.odometry import ADOPT_S
-from steelnb.odometry.faces.scan_to_bars import Locator, points_in_range
+from steelnb.odometry import CloudOdometry, FaceOdometry, faces, make_odometry
+from steelnb.odometry.faces import ADOPT_S
+from steelnb.odometry.scan_to_bars import Locator, points_in_range
 from steelnb.settings import ExperimentSettings, OdometrySettings, StructureSettings
 from tests.fusion.made import around, small_tower
 
@@ -178,9 +176,9 @@ def test_a_flight_without_bars_is_that_of_the_odometry_by_clouds(monkeypatch):
 
 
 def test_the_number_of_keyframes_is_bounded(monkeypatch):
-    monkeypatch.setattr(keyframes, "KEYFRAMES_MAX", 20)
-    monkeypatch.setattr(keyframes, "RECENT", 5)
-    kept = keyframes.Keyframes(StructureSettings())
+    monkeypatch.setattr(faces, "KEYFRAMES_MAX", 20)
+    monkeypatch.setattr(faces, "RECENT", 5)
+    kept = faces.Keyframes(StructureSettings())
     for k in range(21):
         T = np.eye(4)
         T[0, 3] = k
@@ -194,7 +192,7 @@ def test_the_number_of_keyframes_is_bounded(monkeypatch):
 def test_keyframes_of_an_exact_sensor_are_adjusted_where_their_poses_are_off():
     flight = around(small_tower(), poses=24)
     true, rng = flight.prior.T_world_drone, np.random.default_rng(3)
-    kept = keyframes.Keyframes(StructureSettings())
+    kept = faces.Keyframes(StructureSettings())
     for k, scan in enumerate(flight.scans):
         kept.add(scan, points_in_range(scan, true[k], 6.0, 0.2, 4000), true[k], true[k])
     assert kept.adjust() is not None  # and the noise is known to be next to nothing

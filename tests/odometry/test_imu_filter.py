@@ -11,10 +11,8 @@ from steelnb.core.types import Imu
 from steelnb.fusion.adjustment.drift_factors import DRIFT_SIGMA
 from steelnb.fusion.adjustment.imu_factors import BIAS, POSE
 from steelnb.metrics import score_trajectory
-from steelnb.odometry import correct, make_odometry, run
-from steelnb.odometry.faces import odometry as faces
-from steelnb.odometry.imu_filter import InertialPrediction
-from steelnb.odometry.inertial_state import SHIFT, TURN
+from steelnb.odometry import correct, faces, make_odometry, run
+from steelnb.odometry.inertial import SHIFT, TURN, InertialPrediction
 from steelnb.odometry.prediction import NO_ERROR, LastingError, RegisteredPose
 from steelnb.points import VoxelMap
 from steelnb.settings import ImuSettings, OdometrySettings

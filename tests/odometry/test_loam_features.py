@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from steelnb.odometry.loam.features import SMOOTH, loam_features, scan_lines
+from steelnb.odometry.loam import SMOOTH, loam_features, scan_lines
 from steelnb.settings import TofSettings
 from steelnb.simulation.raycasting import rays
 from tests import naive

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from steelnb.odometry.loam.target import FeatureTarget
+from steelnb.odometry.loam import FeatureTarget
 from steelnb.registration import FREE, AlignOptions, align
 from tests.naive import full
 

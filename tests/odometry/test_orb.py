@@ -9,9 +9,8 @@ from scipy.spatial.transform import Rotation
 from steelnb import experiment
 from steelnb.core.types import project
 from steelnb.odometry import OrbOdometry, make_odometry, run
-from steelnb.odometry.orb.features import DepthImage, Features, find_features, import_opencv, match
-from steelnb.odometry.orb.landmarks import LandmarkMap
-from steelnb.odometry.orb.reprojection import solve_pose
+from steelnb.odometry.orb import LandmarkMap, solve_pose
+from steelnb.odometry.orb_features import DepthImage, Features, find_features, import_opencv, match
 from steelnb.registration import FREE
 from steelnb.settings import CameraSettings, ExperimentSettings, TofSettings
 from steelnb.simulation import FORWARD, camera

@@ -9,8 +9,7 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from steelnb.core.types import Scan, Segments
-from steelnb.odometry import ReportCloudOdometry, ReportSegmentOdometry, make_odometry, shared_segments
-from steelnb.odometry.report import segments as report_segments
+from steelnb.odometry import ReportCloudOdometry, ReportSegmentOdometry, make_odometry, report_segments, shared_segments
 from steelnb.points.covariances import neighbour_covariances, regularised
 from steelnb.points.kdtree import build_kdtree
 from steelnb.registration import Aligned, Target, gicp_as_pcl, icp_as_pcl, pcl_bfgs

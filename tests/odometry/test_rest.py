@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from steelnb.core.types import Imu, Trajectory
-from steelnb.odometry.imu_filter import InertialPrediction
-from steelnb.odometry.rest import REST_MAX_S, REST_MIN_S, find_rest, prior_rests, rest_duration_s
+from steelnb.odometry.inertial import InertialPrediction
+from steelnb.odometry.standstill import REST_MAX_S, REST_MIN_S, find_rest, prior_rests, rest_duration_s
 from steelnb.settings import ImuSettings
 from steelnb.simulation import measured_imu
 

@@ -3,11 +3,9 @@ import pytest
 
 from steelnb.core.types import Scan, Segments
 from steelnb.fusion import SegmentMap, associate
-from steelnb.odometry import SegmentOdometry, shared_segments
+from steelnb.odometry import SegmentOdometry, segments, shared_segments
 from steelnb.odometry.base import SPACING_M
-from steelnb.odometry.segments import corrections
-from steelnb.odometry.segments import odometry as segments
-from steelnb.odometry.segments.corrections import (
+from steelnb.odometry.segments import (
     average,
     bar_equations,
     least_squares,
@@ -50,7 +48,7 @@ def known():
 
 @pytest.mark.parametrize("offset", [[0.05, 0, 0], [0, -0.08, 0], [0, 0, 0.06], [0.05, -0.06, 0.04]])
 def test_least_squares_finds_the_translation(known, offset, monkeypatch):
-    monkeypatch.setattr(corrections, "DAMPING_PAIRS", 0.0)
+    monkeypatch.setattr(segments, "DAMPING_PAIRS", 0.0)
     state, matches = least_squares(seen(offset), known, SCALE_M, DRONE)
     np.testing.assert_allclose(state, [0, *-np.array(offset)], atol=1e-3)
     assert matches == len(BARS)
@@ -66,7 +64,7 @@ def test_least_squares_leaves_a_direction_that_no_bar_constrains(known, monkeypa
     (_, x, _, z), _ = least_squares(upright, known, SCALE_M, DRONE)
     assert abs(z) < 1e-9
     assert -0.05 < x < -0.02  # damping holds back
-    monkeypatch.setattr(corrections, "DAMPING_PAIRS", 1e-6)
+    monkeypatch.setattr(segments, "DAMPING_PAIRS", 1e-6)
     np.testing.assert_allclose(
         least_squares(upright, known, SCALE_M, DRONE)[0], [0, -0.05, -0.04, 0], atol=2e-3
     )  # fmt: skip
@@ -74,9 +72,9 @@ def test_least_squares_leaves_a_direction_that_no_bar_constrains(known, monkeypa
 
 @pytest.mark.parametrize(("yaw", "offset"), [(0.02, [0, 0, 0]), (-0.015, [0.03, -0.04, 0.02]), (0, [0, 0.05, 0])])
 def test_yaw_and_translation_are_found_together(known, yaw, offset, monkeypatch):
-    monkeypatch.setattr(corrections, "ITERATIONS_MAX", 60)
-    monkeypatch.setattr(corrections, "TOLERANCE_M", 1e-9)
-    monkeypatch.setattr(corrections, "PRIOR", np.zeros(4))
+    monkeypatch.setattr(segments, "ITERATIONS_MAX", 60)
+    monkeypatch.setattr(segments, "TOLERANCE_M", 1e-9)
+    monkeypatch.setattr(segments, "PRIOR", np.zeros(4))
     away = shifted(seen(0), np.append(yaw, offset), DRONE)
     state, _ = least_squares_yaw(away, known, SCALE_M, DRONE)
     back = shifted(away, state, DRONE)
@@ -88,7 +86,7 @@ def test_yaw_and_translation_are_found_together(known, yaw, offset, monkeypatch)
 def test_bar_equations_are_those_of_the_definition_and_the_derivatives_of_its_loss(known):
     def by_definition(seen):
         bars = known.segments.take(associate(seen, known.segments, known.settings))
-        information = 0.5 * seen.count / (seen.radius**2 + corrections.SIGMA_FLOOR_M**2)
+        information = 0.5 * seen.count / (seen.radius**2 + segments.SIGMA_FLOOR_M**2)
         return naive.bar_equations(shared_ends(seen, bars), bars.start, bars.direction, information, DRONE, SCALE_M)
 
     apart, step = seen([0.03, -0.02, 0.01], noise_m=0.01), 1e-6

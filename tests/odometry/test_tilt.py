@@ -8,10 +8,8 @@ from steelnb import fusion
 from steelnb.core.geometry import tilt_of
 from steelnb.fusion.adjustment.drift_factors import TILT_S
 from steelnb.metrics import score_trajectory
-from steelnb.odometry import correct, methods
-from steelnb.odometry.drift_filter import DriftPrediction
-from steelnb.odometry.faces import odometry as faces
-from steelnb.odometry.prediction import RegisteredPose
+from steelnb.odometry import correct, faces, methods
+from steelnb.odometry.prediction import DriftPrediction, RegisteredPose
 from steelnb.settings import OdometrySettings
 
 SIGMA_RAD = 0.0175

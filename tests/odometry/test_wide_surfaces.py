@@ -5,7 +5,7 @@ from steelnb.core.types import Scan
 from steelnb.experiment import estimate, simulate
 from steelnb.fusion.point_to_bar import world_points
 from steelnb.odometry.clouds import CloudOdometry
-from steelnb.odometry.wide_surfaces import ASIDE_M, parted, pixels_on_surfaces, within_plane
+from steelnb.odometry.near_side import ASIDE_M, parted, pixels_on_surfaces, within_plane
 from steelnb.settings import ExperimentSettings, OdometrySettings
 from tests.odometry.test_near_side import strip
 

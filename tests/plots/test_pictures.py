@@ -12,8 +12,7 @@ from steelnb import plots
 from steelnb.core.errors import InputError
 from steelnb.core.types import Segments, Trajectory
 from steelnb.plots.charts import error_dots, require_runs
-from steelnb.plots.draw import in_view
-from steelnb.plots.flight import figure_bars, figure_flight
+from steelnb.plots.draw import figure_bars, figure_flight, in_view
 
 TOGETHER = {
     "bands": ["draws", "draw", "report"],

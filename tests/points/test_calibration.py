@@ -11,7 +11,7 @@ from steelnb.fusion.adjustment.uncertainty import with_range_sigmas
 from steelnb.points.calibration import calibrated
 from steelnb.settings import ExperimentSettings, StructureSettings, TofSettings
 from steelnb.settings.world import fitted_calibration
-from steelnb.simulation.calibration import DISTANCES_M, measure_calibration
+from steelnb.simulation.tof import DISTANCES_M, measure_calibration
 from steelnb.simulation.tof_faults import draw_faults
 
 SCALE, OFFSET_M = 1.004, -0.006

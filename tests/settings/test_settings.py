@@ -26,7 +26,7 @@ from steelnb.settings.odometry import FAMILIES
 from steelnb.settings.presets import PRESETS
 from steelnb.settings.report_plots import STEP_S
 from steelnb.settings.world import REST_S, without
-from steelnb.simulation.noise import drift_errors
+from steelnb.simulation.drift import drift_errors
 from steelnb.simulation.tof import scan_steps
 
 

@@ -6,8 +6,7 @@ from steelnb import experiment
 from steelnb.core.types import Trajectory, project
 from steelnb.settings import ExperimentSettings
 from steelnb.simulation import FORWARD, Camera, build_tower, camera, photograph
-from steelnb.simulation.camera import SAMPLES, intrinsics
-from steelnb.simulation.camera_texture import SIZE, _sample_tile, make_texture
+from steelnb.simulation.camera import SAMPLES, SIZE, _sample_tile, intrinsics, make_texture
 from steelnb.simulation.raycasting import cast_rays, make_scene, rays
 
 TOWER = build_tower()

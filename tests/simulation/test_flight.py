@@ -9,8 +9,7 @@ from steelnb.core import rng
 from steelnb.core.errors import CollisionError
 from steelnb.settings import FlightSettings, TowerSettings
 from steelnb.simulation import build_tower, fly
-from steelnb.simulation.flight import gusts
-from steelnb.simulation.paths import path, setpoints
+from steelnb.simulation.flight import gusts, path, setpoints
 from steelnb.simulation.tower import half_width
 
 TOWER = build_tower()

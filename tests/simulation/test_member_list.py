@@ -14,7 +14,7 @@ from steelnb.simulation import Camera, build_tower, scan_flight
 from steelnb.simulation.camera import SAMPLES
 from steelnb.simulation.flight import HALF_BOX_M
 from steelnb.simulation.member_list import COLUMNS, joints_of_members
-from steelnb.simulation.members import GROUND, ON_PLATE
+from steelnb.simulation.mesh import GROUND, ON_PLATE
 from steelnb.simulation.raycasting import cast_bundle, make_scene
 from steelnb.simulation.tower import half_width
 from tests.lattice import pieces_of

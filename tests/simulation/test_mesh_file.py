@@ -8,9 +8,9 @@ import trimesh
 
 from steelnb.core.errors import CollisionError, InputError
 from steelnb.settings import CameraSettings, FlightSettings, TofSettings, TowerSettings
-from steelnb.simulation import Camera, build_tower, fly, mesh_lists
+from steelnb.simulation import Camera, build_tower, flight, fly
 from steelnb.simulation.camera import SAMPLES
-from steelnb.simulation.members import ON_PLATE
+from steelnb.simulation.mesh import ON_PLATE
 from steelnb.simulation.raycasting import cast_rays, make_scene, rays
 from tests.lattice import mesh_of
 
@@ -66,8 +66,8 @@ def test_a_mesh_larger_than_pybullet_holds_is_touched_in_all_its_parts(saved, mo
     into = FlightSettings.preset("zigzag", 30.0).replace(standoff_m=-0.05)
     with pytest.raises(CollisionError) as whole:
         fly(tower, into, 1)
-    monkeypatch.setattr(mesh_lists, "VERTICES_MAX", 900)
-    parts = list(mesh_lists.mesh_parts(tower.vertices, tower.triangles))
+    monkeypatch.setattr(flight, "VERTICES_MAX", 900)
+    parts = list(flight.mesh_parts(tower.vertices, tower.triangles))
     assert max(len(vertices) for vertices, _ in parts) <= 900
     corner = np.concatenate([vertices[triangles] for vertices, triangles in parts])
     np.testing.assert_array_equal(corner, tower.vertices[tower.triangles])

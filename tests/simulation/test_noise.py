@@ -6,7 +6,7 @@ from scipy.spatial.transform import Rotation
 
 from steelnb.core.types import Trajectory
 from steelnb.settings import Noise
-from steelnb.simulation.noise import drift_size, drift_size_rms, drifting
+from steelnb.simulation.drift import drift_size, drift_size_rms, drifting
 
 
 def still(seconds):

@@ -11,10 +11,9 @@ from scipy.spatial.transform import Rotation
 from steelnb.core.types import Trajectory
 from steelnb.settings import FlightSettings, TofSettings
 from steelnb.simulation import build_tower, fly, scan_flight
-from steelnb.simulation.paths import pose_on_path
-from steelnb.simulation.raycasting import Hits, cast_bundle, cast_rays, make_scene, rays, resolve_hits
+from steelnb.simulation.flight import pose_on_path
+from steelnb.simulation.raycasting import Hits, cast_bundle, cast_rays, make_scene, ray_distance, rays, resolve_hits
 from steelnb.simulation.tof import RANGE_MIN_M, add_noise, measured_ranges, noise_free, reported_rays
-from steelnb.simulation.triangles import ray_distance
 
 TOWER = build_tower()
 SCENE = make_scene(TOWER)

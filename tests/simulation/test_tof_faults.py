@@ -9,8 +9,7 @@ from steelnb.core import rng
 from steelnb.core.types import Trajectory
 from steelnb.settings import FlightSettings, TofSettings
 from steelnb.simulation import build_tower, scan_flight
-from steelnb.simulation.paths import pose_on_path
-from steelnb.simulation.phasors import amplitudes, fill_bundle, mix_phasors
+from steelnb.simulation.flight import pose_on_path
 from steelnb.simulation.raycasting import cast_rays, make_scene, rays
 from steelnb.simulation.tof import TofCamera, measured_ranges, take_view
 from steelnb.simulation.tof_faults import (
@@ -19,8 +18,11 @@ from steelnb.simulation.tof_faults import (
     STARLING2_FAULTS,
     WIGGLE_PERIOD_M,
     Faults,
+    amplitudes,
     draw_faults,
     expose,
+    fill_bundle,
+    mix_phasors,
 )
 from tests import naive
 

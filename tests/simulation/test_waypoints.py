@@ -4,7 +4,7 @@ import pytest
 from steelnb.core.errors import CollisionError
 from steelnb.settings import FlightSettings
 from steelnb.simulation import build_tower, fly
-from steelnb.simulation.paths import minimum_jerk, pose_on_path
+from steelnb.simulation.flight import minimum_jerk, pose_on_path
 
 REPORT = ("vertical", "orbit", "orbit-3.3")
 

@@ -24,7 +24,7 @@ from steelnb.settings import ImuSettings
 STATE_DOF = 15
 ROTATION, POSITION, VELOCITY, GYRO, FORCE = (slice(k, k + 3) for k in range(0, STATE_DOF, 3))
 POSE, BIAS = slice(0, POSE_DOF), slice(9, STATE_DOF)
-"""The order of a state, here and in `odometry.imu_filter`: rotation (rad), position (m) and velocity (m/s) in the world
+"""The order of a state, here and in `odometry.inertial`: rotation (rad), position (m) and velocity (m/s) in the world
 frame, biases of the gyroscope (rad/s) and the accelerometer (m/s²) in the drone frame."""
 INTEGRATED = np.r_[ROTATION, VELOCITY, POSITION]
 """The order in which readings are integrated, as in the source: that of `Inertial.errors` and their covariances."""

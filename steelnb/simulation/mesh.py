@@ -9,9 +9,11 @@ from steelnb.core.errors import InputError
 from steelnb.core.files import reading
 from steelnb.core.geometry import points_along
 from steelnb.core.types import Array, IntArray
-from steelnb.simulation.members import ON_PLATE
-from steelnb.simulation.triangles import TOUCH_M
 
+GROUND, ON_PLATE = -1, -2
+"""Used in place of a member's index: the ground, and a steel plate, which is not a bar. Constants of kernels (njit)."""
+TOUCH_M = 1e-5
+"""Tolerance within which surfaces touch and a ray hits an edge; float32 cannot resolve smaller distances."""
 TRIANGLES_MAX = 1_000_000
 NEAR_M, STEP_M = 0.1, 0.05
 """A triangle belongs to the nearest member, if its middle is within `NEAR_M` of points `STEP_M` apart on the axis."""

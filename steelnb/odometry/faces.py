@@ -5,8 +5,8 @@ which the scan sees them. A bar with a known section has no such bias.
 
 1. Every `KEYFRAME_S` a scan becomes a keyframe.
 2. Every `REFIT_S`, a second thread finds bars in all keyframes, and adjusts bars and poses together
-   (`steelnb.odometry.faces.keyframes`). It also does whatever else can wait until then, for short frames.
-3. Each scan is registered to the front faces of these bars (`steelnb.odometry.faces.scan_to_bars`).
+   (`steelnb.odometry.faces`). It also does whatever else can wait until then, for short frames.
+3. Each scan is registered to the front faces of these bars (`steelnb.odometry.scan_to_bars`).
 4. Odometry by clouds takes over where the bars do not determine the pose: at the start, and in unmapped areas.
 """
 
@@ -15,22 +15,27 @@ from concurrent.futures import Future, ThreadPoolExecutor
 import numpy as np
 
 from steelnb.core.arguments import checks_arguments
+from steelnb.core.errors import InputError
 from steelnb.core.geometry import information_at, moved_poses, pose_step
-from steelnb.core.types import Array, Imu, Scan, Segments
+from steelnb.core.types import Array, Imu, Scan, Segments, Trajectory
+from steelnb.fusion.adjustment.adjust import adjust
 from steelnb.fusion.adjustment.drift_factors import (
     DRIFT_PERIOD_S,
     DRIFT_SIGMA,
     TILT_SIGMA_RAD,
     pose_size,
 )
+from steelnb.fusion.adjustment.imu_factors import Inertial
 from steelnb.fusion.adjustment.problem import Problem
+from steelnb.fusion.mapped_scans import MappedScans, insert_scan
+from steelnb.fusion.ridges import VOXEL_M
 from steelnb.odometry.base import BaseOdometry, Outcome, Stopwatch
 from steelnb.odometry.clouds import CloudOdometry
-from steelnb.odometry.faces.keyframes import Keyframes
-from steelnb.odometry.faces.scan_to_bars import SCAN_POINTS_MIN, Fit, Locator, points_in_range
-from steelnb.odometry.imu_filter import InertialPrediction
+from steelnb.odometry.inertial import InertialPrediction
 from steelnb.odometry.prediction import LastingError, RegisteredPose
-from steelnb.settings import FaceSettings, OdometrySettings, StructureSettings
+from steelnb.odometry.scan_to_bars import SCAN_POINTS_MIN, Fit, Locator, points_in_range
+from steelnb.points import VoxelMap
+from steelnb.settings import FaceSettings, ImuSettings, OdometrySettings, StructureSettings
 
 KEYFRAME_S = 1.0
 REFIT_S = 10.0
@@ -192,3 +197,62 @@ class FaceOdometry(BaseOdometry):
             size = float(np.linalg.norm(self._lag[part]))
             self._lag[part] *= max(0.0, 1.0 - most / size) if size > 0 else 0.0
         return moved_poses(T_world_drone[None], self._lag[None])[0] if self._lag.any() else T_world_drone
+
+
+FITS, STAGES = 2, ((1, 2),)
+"""Number of times that bars are fitted before an adjustment, and its stages (`adjust.Stages`)."""
+KEYFRAMES_MAX, RECENT = 400, 100
+"""Above this number every second keyframe is dropped, except the first and the most recent ones. This bounds the time
+of an adjustment."""
+BARS_MIN = 4
+"""Minimum number of bars with a section."""
+
+
+class Keyframes:
+    """K scans of a flight, accumulated in voxels at the poses at which they were added.
+
+    ``T_world_sensor (K, 4, 4)``: their poses after the last adjustment; ``settings``: of the bars; ``tilt_sigma_rad``:
+    standard deviation of the prior's roll and pitch (`Problem`); ``readings``: of an IMU, with its data sheet and the
+    sensor's mount ``T_drone_sensor (4, 4)``.
+    """
+
+    def __init__(self, settings: StructureSettings, tilt_sigma_rad: float = 0.0) -> None:
+        self.settings, self.tilt_sigma_rad = settings, tilt_sigma_rad
+        self.readings: tuple[Imu, ImuSettings, Array] | None = None
+        self.voxels = VoxelMap(VOXEL_M)
+        self.scans: list[Scan] = []
+        self.T_world_sensor, self._prior = np.zeros((2, 0, 4, 4))
+        self._before: Problem | None = None
+
+    def add(self, scan: Scan, points: Array, T_world_sensor: Array, prior: Array) -> None:
+        """Add a scan with its pose ``(4, 4)``. Bars are fitted to its ``points (N, 3)``, sensor frame. ``prior (4, 4)``
+        is the sensor's drifting pose; drift begins at the first one."""
+        insert_scan(self.voxels, scan, T_world_sensor, self.settings)
+        self.scans.append(Scan(scan.stamp_s, points))
+        self.T_world_sensor = np.concatenate([self.T_world_sensor, T_world_sensor[None]])
+        self._prior = np.concatenate([self._prior, prior[None]])
+        if len(self.scans) > KEYFRAMES_MAX:
+            kept = [0, *range(2, KEYFRAMES_MAX - RECENT, 2), *range(KEYFRAMES_MAX - RECENT, len(self.scans))]
+            self.scans = [self.scans[k] for k in kept]
+            self.T_world_sensor, self._prior = self.T_world_sensor[kept], self._prior[kept]
+
+    def adjust(self) -> Problem | None:
+        """Find bars, and adjust bars and poses together (`adjust`); None if there are too few bars."""
+        if not len(self.voxels):
+            return None
+        mapped = MappedScans(self.scans, self.T_world_sensor, self.voxels, self.settings)
+        stamp_s, inertial = np.array([scan.stamp_s for scan in self.scans]), None
+        if self.readings:
+            imu, noise, mount = self.readings
+            inertial = Inertial.started(
+                imu, noise, mount, Trajectory(stamp_s, self.T_world_sensor @ np.linalg.inv(mount))
+            )
+        try:
+            state, _ = adjust(
+                mapped, self._prior, stamp_s, STAGES, FITS, every=1, bars_min=BARS_MIN,
+                tilt_sigma_rad=self.tilt_sigma_rad, inertial=inertial, before=self._before,
+            )  # fmt: skip
+        except InputError:
+            return None
+        self.T_world_sensor, self._before = state.T_world_sensor, state
+        return state

@@ -4,7 +4,8 @@ Facts from the published source (`pointcloud_segmentation_node.cpp`, `hough_3d_l
 transform is taken as a segment or dropped, and never cut at gaps. The segments of a scan are placed at the drifting
 position minus the error so far. Each is matched to the first bar that is near both its ends and overlaps it. The error
 then grows by a gain times the mean offset, but the logged position and the mapped segments are those before this
-update. The sensor's mount is ignored."""
+update. The sensor's mount is ignored.
+"""
 
 import math
 
@@ -13,8 +14,7 @@ import numpy as np
 from steelnb.core.types import Array, Scan, Segments
 from steelnb.hough import detect_lines
 from steelnb.odometry.base import BaseOdometry, Outcome, Stopwatch
-from steelnb.odometry.segments.corrections import GAIN, across_of
-from steelnb.odometry.sharing import timed
+from steelnb.odometry.segments import GAIN, across_of, timed
 from steelnb.points import preprocess_scan
 from steelnb.settings import HoughSettings, OdometrySettings, ReportSegmentSettings
 

@@ -11,16 +11,169 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from steelnb.core.arguments import checks_arguments
-from steelnb.core.geometry import transform_points
-from steelnb.core.types import Array, CameraImages, GreyImage, Imu, IntArray, Scan, unproject
+from steelnb.core.geometry import exp_about, transform_points
+from steelnb.core.robust import geman_mcclure
+from steelnb.core.types import Array, CameraImages, GreyImage, Imu, IntArray, Scan, project, unproject
 from steelnb.odometry.base import BaseOdometry, Outcome, Stopwatch
-from steelnb.odometry.drift_filter import PRIOR_SIGMA, make_prediction
-from steelnb.odometry.orb.features import Features, features_with_depth, match
-from steelnb.odometry.orb.landmarks import Expected, LandmarkMap
-from steelnb.odometry.orb.reprojection import solve_pose
-from steelnb.odometry.prediction import RegisteredPose
-from steelnb.registration import FREE
+from steelnb.odometry.inertial import make_prediction
+from steelnb.odometry.orb_features import SCALE, Features, features_with_depth, match
+from steelnb.odometry.prediction import PRIOR_SIGMA, RegisteredPose
+from steelnb.points.ranges import range_sigma_m
+from steelnb.registration import FREE, Term
 from steelnb.settings import OdometrySettings, OrbSettings
+
+SIGHTINGS_MAX = 50
+"""The weight of a new observation stops decreasing after this number, so that positions can still change."""
+ANGLE_MIN = 0.6
+"""Minimum cosine between the current and the first viewing direction of a landmark."""
+MISSES_MAX = 8
+"""A landmark is removed when its misses exceed three times its observations by this number."""
+LANDMARK = np.dtype(
+    [("point", "f8", 3), ("towards", "f8", 3), ("descriptor", "u8", 4), ("octave", "i8"), ("found", "i8"),
+     ("missed", "i8"), ("last", "i8")]
+)  # fmt: skip
+"""``point``, world frame; ``towards``: unit vector to the position of the first observation; ``found`` and ``missed``:
+numbers of observations and of expected observations that failed; ``last``: number of the last image that showed it."""
+
+
+class Expected(NamedTuple):
+    """Landmarks expected in a camera's view: ``number (M,)`` in the map, ``pixel (M, 2)`` and ``depth (M,)``,
+    metres."""
+
+    number: IntArray
+    pixel: Array
+    depth: Array
+
+
+class LandmarkMap:
+    """At most ``count_max`` landmarks, ``table (N,)`` of `LANDMARK`. Beyond that, the least recently observed are
+    removed."""
+
+    def __init__(self, count_max: int) -> None:
+        self.count_max, self.table = count_max, np.zeros(0, LANDMARK)
+
+    def __len__(self) -> int:
+        return len(self.table)
+
+    def expected(self, T_world_camera: Array, K: Array, shape: tuple[int, int], range_max_m: float) -> Expected:
+        """The landmarks in view of a camera at a pose ``(4, 4)`` whose image has ``shape``, rows and columns."""
+        to_camera = T_world_camera[:3, 3] - self.table["point"]
+        distance = np.linalg.norm(to_camera, axis=1)
+        similar_view = (to_camera * self.table["towards"]).sum(axis=1) > ANGLE_MIN * distance
+        index = np.flatnonzero(similar_view & (distance < range_max_m) & (distance > 0.1))
+        in_camera = -to_camera[index] @ T_world_camera[:3, :3]
+        pixel = project(in_camera, K)
+        inside = ((pixel > 0) & (pixel < np.array(shape[::-1]) - 1.0)).all(axis=1)
+        return Expected(index[inside], pixel[inside], in_camera[inside, 0])
+
+    def update(self, index: IntArray, point: Array, features: Features, missed: IntArray, now: int) -> None:
+        """Update the landmarks ``index (M,)``, observed as ``features`` at ``point (M, 3)`` (NaN if unknown) in image
+        ``now``, and those that were ``missed``."""
+        table = self.table
+        table["descriptor"][index], table["octave"][index] = features.descriptor, features.octave
+        table["found"][index] += 1
+        table["last"][index] = now
+        table["missed"][missed] += 1
+        known = np.isfinite(point[:, 0])
+        index, point = index[known], point[known]
+        weight = 1.0 / np.minimum(table["found"][index], SIGHTINGS_MAX)[:, None]
+        table["point"][index] += weight * (point - table["point"][index])
+
+    def insert(self, point: Array, features: Features, position: Array, now: int) -> None:
+        """Add landmarks at ``point (M, 3)``, observed as ``features`` from a ``position (3,)`` in image ``now``."""
+        new, to_camera = np.zeros(len(point), LANDMARK), position - point
+        new["point"], new["towards"] = point, to_camera / np.linalg.norm(to_camera, axis=1)[:, None]
+        new["descriptor"], new["octave"] = features.descriptor, features.octave
+        new["found"], new["last"] = 1, now
+        table = np.concatenate([self.table, new])
+        keep = table["missed"] <= 3 * table["found"] + MISSES_MAX
+        oldest = np.argsort(np.where(keep, -table["last"], 1), kind="stable")
+        keep[oldest[self.count_max :]] = False
+        self.table = table[keep]
+
+
+ITERATIONS_MAX = 15
+ROTATION_EPSILON_RAD, TRANSLATION_EPSILON_M = 1e-4, 1e-4
+PIXEL_SIGMA = 1.0
+"""Standard deviation of a feature's pixel on the finest level, as in ORB-SLAM."""
+FRONT_M = 0.05
+"""Landmarks with a smaller depth than this are ignored."""
+
+
+class Solved(NamedTuple):
+    """``T_world_drone (4, 4)``; the robust ``weight (N,)`` of each observation, 0 to 1; and the normal matrix ``H (6,
+    6)`` of the last step, for twists about the ``centre (3,)``."""
+
+    T_world_drone: Array
+    weight: Array
+    H: Array
+    centre: Array
+
+
+def solve_pose(
+    landmark: Array,
+    features: Features,
+    K: Array,
+    T_drone_camera: Array,
+    T_init: Array,
+    free: Array,
+    terms: list[Term],
+    middle: Array,
+    scale: float,
+) -> Solved | None:
+    """The pose of the drone that minimises Σ ρ(‖(Δu, Δv)/σ_px, Δ(1/x)/σ_1/x‖) + the costs of ``terms``.
+
+    ``landmark (N, 3)``, world frame, were observed as ``features``. ρ is the Geman-McClure loss with a ``scale`` in
+    standard deviations. The third residual, of the inverse depth, applies where a depth was measured. Up to a factor,
+    it is ORB-SLAM2's coordinate in a virtual right camera (Mur-Artal, Tardós, IEEE Transactions on Robotics 33, 2017,
+    section III.B). Steps are twists in the span of ``free (6, k)`` about the world position of ``middle (3,)``, a
+    point in the drone frame. Returns None if the equations are singular.
+    """
+    T = T_init
+    for _ in range(ITERATIONS_MAX):
+        centre = T[:3, :3] @ middle + T[:3, 3]
+        H, b = np.zeros((6, 6)), np.zeros(6)
+        for term in terms:
+            H_term, b_term, _ = term(T, centre)
+            H, b = H + H_term, b + b_term
+        error, J, weight = linearised_reprojections(landmark, features, K, T @ T_drone_camera, centre, scale)
+        weighted = weight[:, None, None] * J
+        H = np.vstack([H[None], (weighted[..., None] * J[:, :, None]).reshape(-1, 6, 6)]).sum(axis=0)
+        b = np.vstack([b, (weighted * error[..., None]).reshape(-1, 6)]).sum(axis=0)
+        try:
+            step = -free @ np.linalg.solve(free.T @ H @ free, free.T @ b)
+        except np.linalg.LinAlgError:
+            return None
+        T = exp_about(centre, step) @ T
+        if np.linalg.norm(step[:3]) < ROTATION_EPSILON_RAD and np.linalg.norm(step[3:]) < TRANSLATION_EPSILON_M:
+            break
+    return Solved(T, weight, H, centre) if np.isfinite(T).all() else None
+
+
+def linearised_reprojections(
+    landmark: Array, features: Features, K: Array, T_world_camera: Array, centre: Array, scale: float
+) -> tuple[Array, Array, Array]:
+    """Residuals ``(N, 3)`` in standard deviations, their derivatives ``(N, 3, 6)`` with respect to a twist (ω, v) of
+    the pose about ``centre (3,)``, world frame, and the robust weights ``(N,)``."""
+    R, depth = T_world_camera[:3, :3], features.depth
+    sigma_px = PIXEL_SIGMA * SCALE ** features.octave.astype(np.float64)
+    point = ((landmark - T_world_camera[:3, 3])[:, :, None] * R).sum(axis=1)
+    x = np.where(point[:, 0] < FRONT_M, np.nan, point[:, 0])
+    # Residuals u = c − f·y/x, v = c − f·z/x and 1/x, and their derivatives with respect to the point.
+    error, gradient = np.zeros((len(x), 3)), np.zeros((len(x), 3, 3))
+    for k in range(2):
+        f = K[k, k] / (x * sigma_px)
+        error[:, k] = (K[k, 2] - features.pixel[:, k]) / sigma_px - f * point[:, k + 1]
+        gradient[:, k, 0], gradient[:, k, k + 1] = f * point[:, k + 1] / x, -f
+    sigma = range_sigma_m(depth) / depth**2
+    error[:, 2], gradient[:, 2, 0] = (1 / x - 1 / depth) / sigma, -1 / (x * x * sigma)
+    error, gradient = np.nan_to_num(error), np.nan_to_num(gradient)
+    weight = np.where(np.isnan(x), 0.0, geman_mcclure((error**2).sum(axis=1), scale)[0])
+    # A twist of the pose translates the point in the camera frame by −Rᵀ(ω × arm + v).
+    by_shift = -(gradient[:, :, None] * R).sum(axis=3)
+    by_turn = np.cross((landmark - centre)[:, None], by_shift)
+    return error, np.concatenate([by_turn, by_shift], axis=2), weight
+
 
 SPACING_PX = 4.0
 """Minimum distance of new landmarks, along u or v, from those already expected in the image."""

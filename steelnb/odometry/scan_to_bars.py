@@ -16,7 +16,7 @@ from steelnb.fusion.adjustment.problem import Bars, Problem
 from steelnb.fusion.point_to_bar import BarVoxels, Observations, face_residuals, world_points
 from steelnb.fusion.ridges import VOXEL_M
 from steelnb.fusion.sections.shapes import THICKNESS_SPREAD
-from steelnb.odometry.wide_surfaces import pixels_on_surfaces
+from steelnb.odometry.near_side import pixels_on_surfaces
 
 MATCH_REACH_M, MATCH_MARGIN_M = 0.15, 0.03
 """Reach and margin of the voxels of a bar (`BarVoxels.around`)."""

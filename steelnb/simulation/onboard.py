@@ -8,9 +8,9 @@ from steelnb.core.arguments import checks_arguments
 from steelnb.core.types import Array, Imu, Scan, Trajectory
 from steelnb.settings import ExperimentSettings
 from steelnb.settings.report_plots import STEP_S
+from steelnb.simulation.drift import drift_errors, drifted
 from steelnb.simulation.flight import Command, Pilot
 from steelnb.simulation.imu import AttitudeFilter, ImuErrors
-from steelnb.simulation.noise import drift_errors, drifted
 from steelnb.simulation.tof import TofCamera, scan_steps
 from steelnb.simulation.tower import Tower
 

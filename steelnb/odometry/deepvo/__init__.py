@@ -1,1 +1,0 @@
-"""Learned odometry, after DeepVO."""

@@ -1,1 +1,0 @@
-"""Odometry by the front faces of bars."""

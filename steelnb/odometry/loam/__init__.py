@@ -1,1 +1,0 @@
-"""LOAM: edge and planar features of a scan."""

@@ -1,1 +1,0 @@
-"""Visual odometry by ORB features."""

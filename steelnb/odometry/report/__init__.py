@@ -1,1 +1,0 @@
-"""The report's programs as they were, with their faults."""

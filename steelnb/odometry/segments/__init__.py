@@ -1,1 +1,0 @@
-"""Odometry by segments, the report's idea."""
