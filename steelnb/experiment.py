@@ -4,7 +4,6 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from typing import cast
 
-from steelnb.core.arguments import checks_arguments
 from steelnb.core.cache import cached
 from steelnb.core.estimates import Estimate
 from steelnb.core.types import Flight, Imu, RangeScans, Trajectory
@@ -47,7 +46,6 @@ class Result(Estimate):
         return f"Result({self.settings.odometry.method!r}: {self._summary()}; error {numbers})"
 
 
-@checks_arguments
 def run(settings: ExperimentSettings, on_progress: OnProgress | None = None) -> Result:
     """Simulate a flight, let its pose drift, correct it scan by scan, and compare with the truth.
 
@@ -56,7 +54,6 @@ def run(settings: ExperimentSettings, on_progress: OnProgress | None = None) -> 
     return estimate(settings, flight, truth, on_progress)
 
 
-@checks_arguments
 def simulate(settings: ExperimentSettings, on_progress: OnProgress | None = None) -> tuple[Flight, Truth]:
     """Simulate a flight as an estimator sees it, and return the truth separately. Raises `CollisionError`.
 
@@ -95,7 +92,6 @@ def world(settings: ExperimentSettings) -> tuple[str, bytes]:
     return settings.model_dump_json(include=parts), settings.tower.file_bytes()
 
 
-@checks_arguments
 def redrift(settings: ExperimentSettings, flight: Flight, truth: Truth) -> Flight:
     """The same flight and scans with the drift of other settings, and with the images that their method needs.
 
@@ -111,7 +107,6 @@ def redrift(settings: ExperimentSettings, flight: Flight, truth: Truth) -> Fligh
     return replace(flight, prior=prior, images=images)
 
 
-@checks_arguments
 def estimate(
     settings: ExperimentSettings, flight: Flight, truth: Truth, on_progress: OnProgress | None = None
 ) -> Result:
@@ -143,7 +138,6 @@ def broken_off(settings: ExperimentSettings) -> Flight | None:
     return simulate(settings.override({**still, "tof.draw": settings.tof.draw + BROKEN_OFF_DRAW}))[0]
 
 
-@checks_arguments
 def draws(settings: ExperimentSettings, count: int) -> Iterator[tuple[ExperimentSettings, Flight, Truth]]:
     """``count`` draws of the sensor's noise on one flight, with the same drift: settings, flight and truth of each.
 

@@ -13,7 +13,7 @@ from typing import Any, Literal, NamedTuple, ParamSpec, TypeVar
 
 import numpy as np
 
-from steelnb.core.checks import as_array, fields_of, quoted, remedy, shown
+from steelnb.core.checks import quoted, shown
 from steelnb.core.errors import InputError
 
 P = ParamSpec("P")
@@ -63,7 +63,7 @@ def checks_arguments(function: Callable[P, R]) -> Callable[P, R]:
             return kind.make(value)
         by = MAKERS.get(kind.words.partition(" ")[0])
         of = f" of {value.dtype}" if "array" in kind.words and hasattr(value, "dtype") else ""
-        hint = f", as from {by}" if by else remedy(value) if "array" in kind.words else ""
+        hint = f", as from {by}" if by else ""
         raise InputError(f"{name} = {shown(value)}{of}: expected {kind.words}{hint}")
 
     @functools.wraps(function)
@@ -76,14 +76,6 @@ def checks_arguments(function: Callable[P, R]) -> Callable[P, R]:
         return function(*by_place, *args[len(parameters) :], **by_name)  # type: ignore[arg-type]
 
     return checked
-
-
-def _is_numeric(values: Any) -> bool:
-    """Whether numbers or truth values can be had as an array."""
-    try:
-        return as_array(values).dtype.kind in "biuf"
-    except (TypeError, ValueError, RuntimeError):  # ragged lists, and tensors with gradients
-        return False
 
 
 def _is_series(values: Any) -> bool:
@@ -107,18 +99,10 @@ def _demand_of(hint: Any) -> Demand:
         return Demand(lambda value: isinstance(value, str | int) and value in of, quoted(of))
     elif origin is collections.abc.Callable:
         return Demand(callable, "a function")
-    elif origin is np.ndarray:
-        return Demand(
-            _is_numeric,
-            "an array of numbers",
-            lambda value: value if hasattr(value, "dtype") and not fields_of(value) else as_array(value),
-        )
     elif origin in (collections.abc.Iterable, collections.abc.Sequence):
         return Demand(_is_series, "a sequence")
     elif origin in (dict, collections.abc.Mapping):
         return Demand(lambda value: isinstance(value, origin), "a table")
     elif inspect.isclass(hint) and origin is None and not getattr(hint, "_is_protocol", False):
-        return Demand(
-            lambda value: isinstance(value, hint), hint.__name__, getattr(hint, "checked", lambda value: value)
-        )
+        return Demand(lambda value: isinstance(value, hint), hint.__name__)
     return UNCHECKED

@@ -130,6 +130,26 @@ def checked_shape(values: Any, name: str, shape: tuple[int, ...]) -> NDArray[Any
     return array
 
 
+def checked_integers(values: object, name: str, shape: tuple[str | int, ...], low: int, below: int = 2**63) -> IntArray:
+    """Whole numbers from ``low`` to less than ``below`` as int64 in an array of a shape, as for `checked_array`."""
+    array = checked_array(values, name, shape)
+    off = array[(array < low) | (array >= below) | (array % 1 != 0)]
+    if off.size:
+        raise InputError(f"{name}: {off[0]:g}; expected whole numbers of at least {low} and below {below}")
+    return array.astype(np.int64)
+
+
+def checked_sizes(values: object, name: str, count: int) -> Array:
+    """Numbers ``(count,)`` that are not negative, or NaN for unknown, as float64."""
+    array = _real(values, name, f"real numbers in an array ({count},)")
+    if array.shape != (count,):
+        raise InputError(f"{name}: an array of shape {array.shape}; expected ({count},)")
+    off = array[(array < 0) | np.isinf(array)]
+    if off.size:
+        raise InputError(f"{name}: {off[0]:g}; expected finite numbers of at least 0")
+    return array
+
+
 def checked_stamps(values: object, name: str) -> Array:
     """Strictly increasing finite stamps ``(N,)``, seconds."""
     stamp_s = checked_array(values, name, ("N",))
@@ -180,11 +200,10 @@ def checked_points(points: object, name: str = "points") -> Array:
 
 def checked_pose(T_target_source: object, name: str) -> Array:
     """A rigid transform ``(4, 4)`` as float64. Raises `InputError` if it is not one."""
-    array = _real(T_target_source, name, "a finite (4, 4) array")
+    array = _real(T_target_source, name, _RIGID)
     if array.shape != (4, 4):
         raise InputError(f"{name}: an array of shape {array.shape}; expected {_RIGID}")
-    if not _is_rigid(*array.tolist()):
-        _check_rigid(array[None], name, "")
+    _check_rigid(array[None], name, "")
     return array
 
 
@@ -197,30 +216,25 @@ def checked_poses(T_target_source: object, name: str, count: int) -> Array:
     return array
 
 
-def _real(values: object, name: str, expected: str) -> Array:
-    """Real numbers as float64, contiguous, as kernels are compiled for; masked entries become NaN."""
+def _as_array(values: Any) -> NDArray[Any]:
+    """An array of ``values``; of a data frame or a structured array with x, y and z, these three. Masked entries become
+    NaN."""
+    names = getattr(values, "columns", getattr(getattr(values, "dtype", None), "names", None))
+    if names is not None and {"x", "y", "z"} <= set(names):
+        return np.stack([_as_array(values[axis]) for axis in "xyz"], axis=-1)
+    return np.ma.filled(values.astype(np.float64), np.nan) if np.ma.isMaskedArray(values) else np.asarray(values)
+
+
+def _real(values: Any, name: str, expected: str) -> Array:
+    """Real numbers as float64, contiguous, as kernels are compiled for."""
     try:
-        if isinstance(values, np.ma.MaskedArray) and not fields_of(values):
-            values = np.ma.filled(values.astype(np.float64), np.nan)
-        array = as_array(values)
+        array = _as_array(values)
         if array.dtype.kind not in "fiu":
             raise TypeError
         return np.asarray(array, dtype=np.float64, order="C")
     except (TypeError, ValueError, RuntimeError):  # the last by tensors with gradients
         kind = getattr(values, "dtype", type(values).__name__)
-        raise InputError(f"{name}: {kind}; expected {expected}{remedy(values)}") from None
-
-
-def _is_rigid(x: list[float], y: list[float], z: list[float], last: list[float]) -> bool:
-    """Whether the rows of a pose pass `_check_rigid`, in a sixth of its time, as each scan has several."""
-    (a, b, c, p), (d, e, f, q), (g, h, i, r) = x, y, z
-    off = (
-        a * a + d * d + g * g - 1, b * b + e * e + h * h - 1, c * c + f * f + i * i - 1, a * b + d * e + g * h,
-        a * c + d * f + g * i, b * c + e * f + h * i, last[0], last[1], last[2], last[3] - 1,
-    )  # fmt: skip
-    handed = a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g)
-    near = max(abs(p), abs(q), abs(r)) <= COORDINATE_MAX_M
-    return near and max(map(abs, off)) <= RIGID_TOLERANCE and handed > 0 and math.isfinite(sum(off) + p + q + r)
+        raise InputError(f"{name}: {kind}; expected {expected}") from None
 
 
 def _check_rigid(T: Array, name: str, index: str) -> None:
@@ -253,42 +267,8 @@ def set_checked(instance: object, **values: object) -> None:
         object.__setattr__(instance, name, value)
 
 
-def fields_of(values: Any) -> tuple[str, ...]:
-    """The names of the fields of a structured array, such as points read from a ROS 2 message; else nothing."""
-    return getattr(getattr(values, "dtype", None), "names", None) or ()
-
-
-def as_array(values: Any) -> NDArray[Any]:
-    """An array of ``values``. Of a data frame with columns named x, y and z, in any case and order, these three; of
-    a structured array, the fields of these names."""
-    fields = [name.lower() for name in fields_of(values)]
-    if all(fields.count(axis) == 1 for axis in "xyz"):
-        columns = [values[fields_of(values)[fields.index(axis)]].astype(np.float64) for axis in "xyz"]
-        return np.stack([np.ma.filled(column, np.nan) for column in columns], axis=-1)
-    if not hasattr(values, "columns") or not hasattr(values, "iloc"):
-        return np.asarray(values)
-    names = [str(name).lower() for name in values.columns]
-    if all(names.count(axis) == 1 for axis in "xyz"):
-        values = values.iloc[:, [names.index(axis) for axis in "xyz"]]
-    return np.asarray(values.to_numpy(np.float64, na_value=np.nan))
-
-
-def remedy(values: Any) -> str:
-    """What to hand in instead of an object with points, such as a cloud of Open3D; empty for others."""
-    return ", such as its .points" if hasattr(values, "points") else ""
-
-
 def check_coordinates(points: NDArray[np.float64], name: str) -> None:
     """Raise `InputError` if a finite coordinate is beyond `COORDINATE_MAX_M`."""
     largest = float(np.abs(points).max(initial=0.0))
     if largest > COORDINATE_MAX_M:
         raise InputError(f"{name}: a coordinate of {largest:.3g}; expected metres, at most {COORDINATE_MAX_M:.0e}")
-
-
-def without_zeros(points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Points ``(..., 3)`` with NaN in place of those at exactly zero; the same array if there are none."""
-    x = points[..., 0]
-    if not (x == 0).any():  # a tenth of the time of a look at all coordinates
-        return points
-    zero = (points == 0).all(axis=-1)
-    return np.where(zero[..., None], np.nan, points) if zero.any() else points

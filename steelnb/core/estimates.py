@@ -11,7 +11,6 @@ from steelnb.core.checks import (
     check_same_stamps,
     checked_array,
     checked_integer,
-    checked_kind,
     checked_number,
     checked_pose,
     set_checked,
@@ -41,16 +40,12 @@ class OdometryStep:
     covariance: Array | None = None
 
     def __post_init__(self) -> None:
-        checked_kind(self.used, "OdometryStep.used", bool | np.bool_)
         if self.covariance is not None:
             C = checked_array(self.covariance, "OdometryStep.covariance", (6, 6))
             least, largest = np.linalg.eigvalsh(C)[[0, -1]]
             if max(-least, np.abs(C - C.T).max()) > 1e-6 * max(largest, 0.0):
                 raise InputError("OdometryStep.covariance: expected a symmetric matrix without negative eigenvalues")
             set_checked(self, covariance=C)
-        checked_kind(self.reason, "OdometryStep.reason", str)
-        for stage, seconds in checked_kind(self.seconds, "OdometryStep.seconds", dict).items():
-            checked_number(seconds, f"OdometryStep.seconds[{stage!r}]")
         set_checked(
             self,
             stamp_s=checked_number(self.stamp_s, "OdometryStep.stamp_s"),
@@ -104,10 +99,8 @@ class Estimate:
     unobserved: IntArray = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
 
     def __post_init__(self) -> None:
-        name, k = type(self).__name__, len(checked_kind(self.prior, f"{type(self).__name__}.prior", Trajectory))
-        checked_kind(self.corrected, f"{name}.corrected", Trajectory)
+        name, k, bars = type(self).__name__, len(self.prior), len(self.segments)
         check_same_stamps(self.corrected.stamp_s, f"{name}.corrected", self.prior.stamp_s, f"the poses in {name}.prior")
-        bars = len(checked_kind(self.segments, f"{name}.segments", Segments))
         shapes: dict[str, tuple[str | int, ...]] = {
             "points": ("N", 3), "matches": (k,), "update_s": (k,), "pose_covariance": (k, 6, 6),
             "axis_covariance": (bars, 4, 4), "unobserved": (k if len(self.unobserved) else 0,),

@@ -4,7 +4,7 @@ import os
 import tempfile
 import unicodedata
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 
 from steelnb.core.errors import InputError, OutputError, SteelnbError
@@ -73,10 +73,7 @@ def check_writable(target: Path | str) -> None:
 
 
 def _nearest(target: Path) -> Path:
-    """The folder itself if it exists, else the nearest one above it that does. Raises OSError for a name that no folder
-    can have."""
-    with suppress(FileNotFoundError):
-        os.stat(target)
+    """The folder itself if it exists, else the nearest one above it that does."""
     return next(folder for folder in (target, *target.parents) if os.path.exists(folder))
 
 

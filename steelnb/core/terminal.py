@@ -29,8 +29,7 @@ def call(app: "typer.Typer", name: str, arguments: list[str] | None) -> int:
         message = fault.format_message() if isinstance(fault, typer.TyperException) else str(fault)
         say(f"{name}: error: {' '.join(message.split())[:1000]}", sys.stderr)
         return 2
-    except OSError as fault:  # stdout has no room for a help text, or the working directory is gone
-        discard(sys.stdout)
+    except OSError as fault:
         words = filter(None, (fault.filename, fault.strerror or fault))
         say(f"{name}: error: {': '.join(map(str, words))}", sys.stderr)
         return 2
@@ -42,11 +41,7 @@ def call(app: "typer.Typer", name: str, arguments: list[str] | None) -> int:
 
 
 def prepare_terminal() -> None:
-    """Show ``?`` for characters that the terminal's encoding lacks, and each warning of Python as one line. Nothing is
-    shown on a stream that is closed, as by ``2>&-``."""
-    for name in ("stdout", "stderr"):
-        if getattr(sys, name) is None:
-            setattr(sys, name, open(os.devnull, "w"))  # noqa: SIM115 kept until the command ends
+    """Show ``?`` for characters that the terminal's encoding lacks, and each warning of Python as one line."""
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")
@@ -55,22 +50,15 @@ def prepare_terminal() -> None:
 
 
 def say(text: str, file: TextIO | None = None) -> None:
-    """Print text to stdout, or to another stream, at once. If that fails, nothing more is printed and the command goes
-    on; a reader that has gone, as that of ``| head -1``, is no fault."""
+    """Print text to stdout, or to another stream, at once. If its reader has gone, as that of ``| head -1``, the
+    command goes on, and nothing more is printed."""
     stream = file or sys.stdout
     try:
         print(text, file=stream, flush=True)
-    except OSError as fault:
-        discard(stream)
-        if not isinstance(fault, BrokenPipeError):
-            warn(f"stdout: {fault.strerror}; what follows is not printed")
-
-
-def discard(stream: TextIO) -> None:
-    """Print nothing more to a stream, not even what is still in its buffer."""
-    null = os.open(os.devnull, os.O_WRONLY)
-    os.dup2(null, stream.fileno())
-    os.close(null)
+    except BrokenPipeError:
+        null = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(null, stream.fileno())
+        os.close(null)
 
 
 def warn(*messages: str) -> None:

@@ -7,9 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from steelnb.core.arguments import checks_arguments
-from steelnb.core.checks import check_length, checked_kind
+from steelnb.core.checks import check_length, checked_array, checked_integers, checked_sizes, set_checked
 from steelnb.core.errors import InputError
-from steelnb.core.types import Array, IntArray, Segments, check_columns
+from steelnb.core.types import Array, IntArray, Segments
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,16 +35,19 @@ class Structure:
     tube: NDArray[np.bool_] | None = None
 
     def __post_init__(self) -> None:
-        bars = len(checked_kind(self.segments, "Structure.segments", Segments))
-        for name in ("width_m", "sightings", "sigma_m"):
-            check_columns(self, **{name: 0})
-            check_length(getattr(self, name), f"Structure.{name}", bars, "one a bar")
-        check_columns(self, joint=3)
-        check_columns(self, tie=2)
+        bars = len(self.segments)
+        set_checked(
+            self,
+            width_m=checked_sizes(self.width_m, "Structure.width_m", bars),
+            sightings=checked_integers(self.sightings, "Structure.sightings", (bars,), 0),
+            sigma_m=checked_sizes(self.sigma_m, "Structure.sigma_m", bars),
+            joint=checked_array(self.joint, "Structure.joint", ("J", 3)),
+            tie=checked_integers(self.tie, "Structure.tie", ("T", 2), 0),
+        )
         for name in ("opening", "tube"):
             if getattr(self, name) is not None:
                 check_length(getattr(self, name), f"Structure.{name}", bars, "one a bar")
-        if len(self.tie) and not ((self.tie >= 0) & (self.tie < (len(self.joint), bars))).all():
+        if not (self.tie < (len(self.joint), bars)).all():
             raise InputError(f"Structure.tie: expected numbers of {len(self.joint)} joints and {bars} bars")
 
     def __len__(self) -> int:

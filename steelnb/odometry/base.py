@@ -203,11 +203,7 @@ def _map_of(odometry: Odometry, method: str, default: Any) -> Any:
         value = found()
     if not isinstance(default, Segments):
         return checked_points(value, name)
-    checked_kind(value, name, Segments)
-    try:
-        return value.checked()
-    except InputError as fault:
-        raise InputError(f"{name}: {fault}") from None
+    return checked_kind(value, name, Segments)
 
 
 GIVEN = ("T_drone_sensor", "imu", "images")
