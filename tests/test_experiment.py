@@ -1,14 +1,10 @@
-import dataclasses
-
 import numpy as np
 import pytest
 
-from steelnb import experiment, plots
-from steelnb.core.types import Flight
-from steelnb.metrics import score_segments
+from steelnb import experiment
 from steelnb.notebook import report, tables
+from steelnb.notebook.cases import grid
 from steelnb.notebook.runs import run_all
-from steelnb.notebook.study import grid
 from steelnb.settings import ExperimentSettings
 
 
@@ -44,12 +40,6 @@ def test_a_comparison_is_its_single_runs(runs):
     assert seen == sorted(seen)
 
 
-def test_the_flight_holds_no_truth():
-    assert {field.name for field in dataclasses.fields(Flight)} == {
-        "scans", "prior", "imu", "T_drone_sensor", "name", "facts", "skipped", "images", "range_sigmas"
-    }  # fmt: skip
-
-
 def test_the_time_of_a_frame_is_that_of_all_its_stages(runs):
     timing = tables.timing(runs)
     frames = timing[timing["stage"] == "frame"]
@@ -68,13 +58,3 @@ def test_curves_hold_the_error_of_every_scan_without_and_with_correction(runs):
             drawn = own[own["curve"] == name]
             np.testing.assert_array_equal(drawn["time_s"], path.stamp_s)
             np.testing.assert_allclose(drawn["error_m"], np.linalg.norm(path.position - truth, axis=1))
-
-
-def test_a_map_is_drawn_over_the_members_with_right_and_wrong_bars_apart(runs):
-    run, panel = runs[2], plots.Figure().subplots()
-    members = run.truth.tower.axes
-    right = score_segments(run.segments, members).right
-    plots.draw_judged_bars(panel, members, plots.end_points(run.segments), right)
-    counts = [len(lines.get_segments()) for lines in panel.collections]
-    assert counts == [len(members), (~right).sum(), right.sum()]
-    assert right.mean() == pytest.approx(run.metrics["segment_precision"])

@@ -71,12 +71,6 @@ def test_saving_what_was_run_changes_nothing_and_an_edit_alone_is_saved(manager)
     assert len(changed) == 3  # the line before it has an end now
 
 
-def test_other_folders_keep_their_outputs(manager) -> None:
-    (Path(manager.root_dir) / "mine").mkdir()
-    save(manager, "mine/a.ipynb", run_in_lab(NOTEBOOKS[0]))
-    assert nbformat.read(Path(manager.root_dir) / "mine" / "a.ipynb", 4).cells[1].outputs
-
-
 @pytest.mark.parametrize(("user", "allowed"), [("0", True), ("1000", False)])
 def test_only_root_is_allowed_to_be_root(tmp_path: Path, user: str, allowed: bool) -> None:
     (tmp_path / "id").write_text(f"#!/bin/sh\necho {user}\n")

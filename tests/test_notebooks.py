@@ -9,18 +9,14 @@ import nbformat
 import numpy as np
 import pandas as pd
 import pytest
-from PIL import Image
 
 from steelnb.notebook.claims import read_claims
-from workflow.run_notebooks import EXECUTED, LATEST, cache_folder, latest_parts, part_folder, run
+from workflow.run_notebooks import LATEST, cache_folder, latest_parts, run
 from workflow.write_results import merge
 
 ROOT = Path(__file__).parents[1]
 NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
-LINES_MAX, CELL_LINES_MAX = 95, 15  # imports name three rooms
-COLUMNS_MAX = 12  # of a table, with its index: as many as JupyterLab shows beside its list of files at 1300 px
-OTHER_HEADS = {"claims", "explore"}
-"""Experiments whose notebooks show columns by the names that their files have."""
+CELL_LINES_MAX = 15
 
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
@@ -36,7 +32,6 @@ def test_a_notebook_checks_its_parameters_first_and_holds_short_cells_and_no_fun
     assert not any(line.lstrip().startswith(("def ", "class ")) for lines in sources for line in lines)
     assert not any(re.search(r"import .*\b_\w|\w\._\w", cell.source) for cell in code), "something private"
     assert max(map(len, sources)) <= CELL_LINES_MAX
-    assert sum(map(len, sources)) <= LINES_MAX
 
 
 @pytest.fixture(scope="session")
@@ -66,29 +61,6 @@ def results(folder):
         return pd.read_csv(folder / id / "table.csv"), json.loads((folder / id / "metrics.json").read_text())
 
     return read
-
-
-def test_every_figure_has_colours_and_is_committed(folder):
-    pictures = sorted(folder.glob("*/fig_*.png"))
-    assert {path.parent.name for path in pictures} == {path.name for path in folder.iterdir()}
-    for path in pictures:
-        red, *others = np.asarray(Image.open(path).convert("RGB"))[::3, ::3].astype(float).transpose(2, 0, 1)
-        coloured = np.abs(others - red).max(axis=0) > 50  # curves and points are neither white nor grey, unlike text
-        least = 0.0005 if path.parent.name == "claims" else 0.001  # intervals are few thin lines
-        assert coloured.mean() > least, path
-        assert (ROOT / "results" / path.relative_to(folder)).is_file(), path
-
-
-def test_tables_beside_the_figures_have_few_columns_and_words_as_heads(latest):
-    parts, cache = latest
-    for part in parts:
-        notebook = nbformat.read(part_folder(cache, part) / EXECUTED, as_version=4)
-        outputs = [output for cell in notebook.cells for output in cell.get("outputs", [])]
-        for html in (output["data"]["text/html"] for output in outputs if "text/html" in output.get("data", {})):
-            head, _, body = html.partition("</thead>")
-            assert max((len(re.findall("<t[dh]", row)) for row in body.split("<tr")), default=0) <= COLUMNS_MAX, part.id
-            if part.id not in OTHER_HEADS:
-                assert not re.search(r"<th[^>]*>\w+_\w+</th>", head), (part.id, head)
 
 
 def test_the_world_notebook_finds_the_drift_of_the_model(results):

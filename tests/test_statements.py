@@ -65,10 +65,3 @@ def test_the_table_of_the_reports_plots_is_that_of_their_draws():
         value = {key.rpartition(".")[2]: value for key, value in metrics.items() if own in key}
         assert re.findall(r"\d\.\d+", f"{theirs} {ours}") == [f"{value[name]:.3f}" for name in names], plot
     assert len(rows) == 15
-
-
-def test_numbers_and_their_units_are_read_as_a_reader_does():
-    text = "Errors are 30–31 / 25–28 mm and 4 cm (Figures 3.2 and 3.3, seed 21), .85 to .97 of 1,200 scans, −4 to +4 %."
-    read = [(each.text, each.unit) for each in stated_numbers(text)]
-    assert read[:5] == [("30", "mm"), ("31", "mm"), ("25", "mm"), ("28", "mm"), ("4", "cm")]
-    assert read[5:] == [(".85", ""), (".97", ""), ("1,200", ""), ("4", "%"), ("4", "%")]

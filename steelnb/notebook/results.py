@@ -76,8 +76,7 @@ def write_results(
 
 
 def earlier_files(results_dir: str | Path) -> list[str]:
-    """The names of the files that a notebook wrote into a folder before, as its provenance.json lists them. Of a list
-    that is missing, as from an earlier version, only those are known that every notebook writes.
+    """The names of the files that a notebook wrote into a folder before, as its provenance.json lists them.
 
     Raises `OutputError` if every run would replace a file that is not listed, such as a table of the user's or one of
     `make reproduce`, and `InputError` if provenance.json cannot be read.
@@ -85,9 +84,7 @@ def earlier_files(results_dir: str | Path) -> list[str]:
     folder, written = Path(results_dir), list[str]()
     if (path := folder / "provenance.json").exists():
         with reading(path, "the provenance of results"):
-            noted = json.loads(path.read_bytes())
-            earlier = REQUIRED if "versions" in noted else ()  # a notebook's own, not merged ones
-            written = [Path(name).name for name in noted.get(WRITTEN, earlier)]
+            written = [Path(name).name for name in json.loads(path.read_bytes()).get(WRITTEN, ())]
     for name in REQUIRED:
         if (folder / name).exists() and name not in written:
             raise OutputError(f"{folder / name}: not listed as written by a notebook; expected another folder")

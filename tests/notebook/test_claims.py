@@ -231,14 +231,6 @@ def test_bad_claims_are_one_line(changes, words):
     assert all(word in str(told.value) for word in words), told.value
 
 
-def test_files_of_claims_that_are_not_there_or_not_claims_are_one_line(tmp_path):
-    with pytest.raises(InputError, match="expected a file of claims"):
-        read_claims(tmp_path / "claims.toml")
-    (tmp_path / "claims.toml").write_text("[a]\nsection = 3")
-    with pytest.raises(InputError, match=r"claims.toml: \[a\]"):
-        read_claims(tmp_path / "claims.toml")
-
-
 def test_claims_on_frames_are_judged_by_the_table_of_the_segmentation_methods(tmp_path):
     frames = frame_runs(ROOT / "results" / "segmentation-seeds")
     assert frames["seed"].nunique() >= 30

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 from steelnb.core.errors import OutputError, SteelnbError
 from steelnb.notebook.progress import Progress
-from steelnb.notebook.results import find_root, write_results
+from steelnb.notebook.results import write_results
 
 
 def write(folder: Path | str, metrics: dict, figures: tuple[str, ...] = (), **more) -> None:
@@ -65,18 +65,6 @@ def test_files_that_no_notebook_wrote_stay(tmp_path: Path) -> None:
     assert sorted(path.name for path in tmp_path.glob("fig*")) == ["fig_1.png", "fig_3.png", "fig_mine.png"]
 
 
-def test_a_folder_of_an_earlier_version_is_written_again_and_files_of_unknown_origin_stay(tmp_path: Path) -> None:
-    write(tmp_path, {"x": 1}, ("1",))
-    noted = json.loads((tmp_path / "provenance.json").read_text())
-    del noted["files"]  # earlier versions had no list
-    (tmp_path / "provenance.json").write_text(json.dumps(noted))
-    write(tmp_path, {"x": 2}, ("2",))
-    assert (tmp_path / "metrics.json").read_text() == '{\n  "x": 2\n}\n'
-    assert sorted(path.name for path in tmp_path.glob("fig*")) == ["fig_1.png", "fig_2.png"]
-    write(tmp_path, {"x": 3}, ("3",))
-    assert sorted(path.name for path in tmp_path.glob("fig*")) == ["fig_1.png", "fig_3.png"]
-
-
 @pytest.mark.parametrize(
     ("name", "text", "words"),
     [
@@ -115,7 +103,3 @@ def test_progress_is_a_bar_where_nobody_asks_for_a_file(
     progress.step()
     progress.step()
     assert "flights: 100%" in capsys.readouterr().err
-
-
-def test_the_project_is_found_from_outside_it(tmp_path: Path) -> None:
-    assert find_root(tmp_path) == Path(__file__).parents[2]

@@ -1,17 +1,15 @@
 """Runs that share a flight, their tables, and the basin of convergence."""
 
-import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
 import pytest
-import seaborn as sns
 
-from steelnb import experiment, plots
+from steelnb import experiment
 from steelnb.core.errors import InputError
 from steelnb.metrics import paired_clouds, position_error_m
 from steelnb.notebook import report, tables
-from steelnb.notebook.basin import figure_basin, figure_icp_steps, find_basin, from_poor_starts
-from steelnb.notebook.cases import CASE_COLUMNS, plot_of, report_cases, with_earlier_runs
+from steelnb.notebook.basin import figure_icp_steps, find_basin, from_poor_starts
+from steelnb.notebook.cases import plot_of, report_cases, with_earlier_runs
 from steelnb.notebook.runs import flight_paths, run_all
 from steelnb.settings import ExperimentSettings, Noise
 from steelnb.settings.report_plots import read_report_plots
@@ -82,18 +80,6 @@ def test_starts_at_the_truth_converge_and_far_ones_do_not(runs, flown):
         find_basin(segments, *flown, 0, starts)
 
 
-def test_a_basin_without_any_result_is_drawn_and_says_so():
-    refused = {"a": [True, True], "b": [False, True]}
-    rows = pd.concat(
-        [pd.DataFrame({"registration": name, "x_m": [0, 1], "z_m": [0, 1], "error_m": 0.5, "refused": some})
-         for name, some in refused.items()]
-    )  # fmt: skip
-    for basins, says in ((rows, [["all refused"], []]), (rows[rows["registration"] == "a"], [["all refused"]])):
-        panels = figure_basin(basins).axes[: len(says)]
-        assert [[text.get_text() for text in panel.texts] for panel in panels] == says
-        assert [panel.get_title() for panel in panels] == list(refused)[: len(says)]
-
-
 def test_scans_that_see_nothing_are_refused_with_the_settings_that_decide(runs, flown):
     blind = runs[0].settings.override({"preprocess.floor_m": 99.0})
     with pytest.raises(InputError, match=r"poor_starts = 1, but 0 of .*expected .* a lower preprocess.floor_m"):
@@ -158,29 +144,6 @@ def test_a_band_holds_its_draws_and_says_where_the_report_lies():
     faulty = cases[0].override({"tof.faults": ["footprint"]})
     with pytest.raises(InputError, match="draws of the noise: expected a sensor without faults"):
         report.draw_programs([faulty], 2)
-
-
-@pytest.mark.parametrize("curves", [["draws", "draw"], ["draws", "draw", "report"]])
-def test_a_legend_of_bands_names_the_curves_that_are_there(curves):
-    drawn = pd.DataFrame([{"curve": name, "sample": k, "error_m": 0.1 * k} for name in curves for k in (1, 2)])
-    panel = sns.lineplot(drawn, ax=plt.figure().add_subplot(), **plots.BANDS)
-    assert panel.get_legend_handles_labels()[1] == curves
-
-
-def test_an_axis_of_errors_shows_every_curve():
-    case = dict.fromkeys(CASE_COLUMNS, "x")
-    curves = pd.DataFrame([{**case, "curve": name, "error_m": m} for name, m in (("a", 0.0), ("a", 0.07), ("b", 0.3))])
-
-    def begins_m(curves):
-        panel = plt.figure().add_subplot()
-        report.log_errors([panel], curves)
-        assert np.isfinite(panel.transScale.transform(curves[["error_m"] * 2])[1:]).all()
-        return panel.get_ylim()[0]
-
-    assert begins_m(curves) == 0.005
-    assert begins_m(curves.assign(error_m=[0, 0.002, 0.3])) == pytest.approx(0.0002)
-    assert begins_m(curves.assign(error_m=[0, 0, 0.3])) < 0, "a curve that is 0 throughout is shown"
-    assert begins_m(curves[:1]) < 0
 
 
 def test_a_title_names_a_tower_that_is_not_the_flight_s_own():

@@ -298,28 +298,6 @@ def test_bad_input_is_one_line(tmp_path, monkeypatch, capsys, line, words):
     assert [*tmp_path.iterdir()] == [path]
 
 
-def test_one_value_is_a_list_of_one(tmp_path):
-    axes = {**AXES, "seeds": 2, "methods": "average", "trajectories": "zigzag", "noises": "none", "sensors": "report"}
-    (run,) = read_grids(written(tmp_path, axes))
-    assert run.settings == ExperimentSettings.preset("zigzag", "none", "average", "report", 2, 3.0)
-
-
-def test_a_table_of_another_kind_is_one_line(tmp_path):
-    pd.DataFrame({"seed": [1]}).to_parquet(tmp_path / "runs.parquet")
-    with pytest.raises(InputError, match=r"runs.parquet: no column 'sensor'; expected the table of a study$"):
-        read_runs(tmp_path)
-
-
-def test_workers_warn_in_one_line_each(tmp_path, monkeypatch, capfd):
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / ".cache").write_text("no folder")
-    path = written(tmp_path, {**AXES, "methods": "none", "duration_s": 1.0})
-    assert cli.main(["study", str(path), "-o", "out", "-j", "2"]) == 0
-    told = capfd.readouterr().err.splitlines()
-    assert {line.partition("runs: ")[0] for line in told} == {f"steelnb: warning: {tmp_path / '.cache'}/"}
-    assert 1 <= len(told) <= 2
-
-
 def test_a_study_without_runs_or_jobs_is_refused(tmp_path):
     with pytest.raises(InputError, match="does not exist"):
         read_grids(tmp_path / "study.toml")

@@ -4,14 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from steelnb.notebook.tables import HEADS, readable, shared_seeds
-
-
-def test_heads_keep_the_unit_of_their_column():
-    for name, head in HEADS.items():
-        for unit, shown in (("_m", "(m)"), ("_s", "(s)"), ("_ms", "(ms)"), ("_deg", "(°)"), ("_share", "(share)")):
-            assert name.endswith(unit) <= head.endswith(shown), name
-    assert len(set(HEADS.values())) > len(HEADS) - 5  # one head may stand for the same number of two tables
+from steelnb.notebook.tables import readable, shared_seeds
 
 
 def test_a_readable_table_shows_chosen_columns_with_their_units_and_counts_as_integers():
