@@ -17,11 +17,11 @@ from steelnb.core.determinism import machine
 from steelnb.core.geometry import pose_difference
 from steelnb.core.types import Array, Flight, Imu
 from steelnb.fusion.adjustment.imu_factors import FORCE, GYRO, POSITION, ROTATION, VELOCITY
-from steelnb.fusion.adjustment.uncertainty import with_range_sigmas
+from steelnb.fusion.adjustment.smooth import with_range_sigmas
 from steelnb.odometry import make_odometry, run
 from steelnb.odometry.faces import FaceOdometry
 from steelnb.odometry.inertial import InertialPrediction, State
-from steelnb.points.calibration import calibrated
+from steelnb.points.ranges import calibrated
 from steelnb.settings import ExperimentSettings, StructureSettings, TrajectoryName
 from steelnb.simulation import Truth, fly, measured_imu
 

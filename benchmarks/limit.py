@@ -16,7 +16,7 @@ from scipy.linalg import cholesky, lapack, solve_triangular
 from steelnb import experiment
 from steelnb.core.determinism import machine
 from steelnb.core.types import Array, IntArray
-from steelnb.fusion.adjustment.drift_factors import DRIFT_PERIOD_S, DRIFT_SIGMA
+from steelnb.fusion.adjustment.factors import DRIFT_PERIOD_S, DRIFT_SIGMA
 from steelnb.settings import ExperimentSettings, TofSettings, TrajectoryName
 from steelnb.simulation import Truth
 from steelnb.simulation.raycasting import cast_bundle, make_scene, rays

@@ -6,7 +6,7 @@ PYTHONPATH=. .venv/bin/python benchmarks/objects.py
 import numpy as np
 
 from steelnb.core.types import Array
-from steelnb.fusion.whole_cloud import bars_of_cloud
+from steelnb.fusion.cloud_bars import bars_of_cloud
 from steelnb.metrics.segments import match_members
 from tests.lattice import STEEL, TOWER, bare_tree, lattice, on_ground, scanned, tree
 

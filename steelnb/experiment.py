@@ -10,7 +10,7 @@ from steelnb.core.types import Flight, Imu, RangeScans, Trajectory
 from steelnb.metrics import score_estimate
 from steelnb.odometry import correct
 from steelnb.planning import OnboardPilot
-from steelnb.points.calibration import calibrated
+from steelnb.points.ranges import calibrated
 from steelnb.settings import ExperimentSettings, OrbSettings, ReportCloudSettings
 from steelnb.settings.report_plots import STEP_S
 from steelnb.simulation import (

@@ -11,7 +11,7 @@ from steelnb.core.errors import InputError
 from steelnb.core.estimates import OdometryStep
 from steelnb.core.kernels import compiling
 from steelnb.core.types import Flight, Scan, Segments, Trajectory
-from steelnb.hough.alternatives.methods import find_bars_by
+from steelnb.hough.alternatives import find_bars_by
 
 CLOUD = np.random.default_rng(0).uniform(-1, 1, (60, 3))
 POSES = np.tile(np.eye(4), (3, 1, 1))

@@ -10,11 +10,11 @@ import numpy as np
 from joblib import Parallel, delayed
 
 from steelnb.core.kernels import COMPILING, kernel_folder
-from steelnb.fusion.sections.choose import fit_sections
+from steelnb.fusion.cloud_bars import bars_of_cloud
+from steelnb.fusion.sections.fit import fit_sections
 from steelnb.fusion.sections.histogram import HISTOGRAM
 from steelnb.fusion.sections.shapes import THICKNESS
-from steelnb.fusion.whole_cloud import bars_of_cloud
-from steelnb.hough.alternatives.methods import find_bars_by
+from steelnb.hough.alternatives import find_bars_by
 from steelnb.settings import METHODS
 from workflow.digests import SHORT, digests
 

@@ -17,7 +17,7 @@ from steelnb.core.kernels import njit
 from steelnb.core.types import Array, IntArray, Segments
 from steelnb.fusion.adjustment.problem import Bars
 from steelnb.fusion.sections import shapes
-from steelnb.points.voxel_kernels import EMPTY, find, pack, put
+from steelnb.points.voxel_map import EMPTY, find, pack, put
 
 
 class BarVoxels(NamedTuple):

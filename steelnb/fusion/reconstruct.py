@@ -6,20 +6,17 @@ from dataclasses import replace
 
 import numpy as np
 
-from steelnb.core.arguments import checks_arguments
 from steelnb.core.checks import check_sequence, checked_kind, checked_pose, checked_poses
 from steelnb.core.errors import InputError
 from steelnb.core.types import Array, Scan, Segments, shift_of, translated
-from steelnb.fusion.adjustment.adjust import adjust
-from steelnb.fusion.adjustment.drift_factors import DRIFT_PERIOD_S
-from steelnb.fusion.bar_fitting import BarFitter
-from steelnb.fusion.candidates import find_bars, find_struts, merge_pieces
+from steelnb.fusion.adjustment.factors import DRIFT_PERIOD_S
+from steelnb.fusion.adjustment.smooth import adjust
+from steelnb.fusion.bars import TUBE_M, Ridges, find_bars, find_struts, merge_pieces
 from steelnb.fusion.joints import between_joints, trim_bends
-from steelnb.fusion.mapped_scans import MappedScans
-from steelnb.fusion.ridges import TUBE_M, Ridges
+from steelnb.fusion.mapped_scans import BarFitter, MappedScans
 from steelnb.fusion.sections import shapes
 from steelnb.fusion.structure import Structure
-from steelnb.hough.freedom import freedom_of
+from steelnb.hough.near_segments import freedom_of
 from steelnb.settings import StructureSettings
 
 SECTION_FREE_MIN = 0.5
@@ -29,7 +26,6 @@ TILT_MAX_RAD = 0.1
 """A bar whose direction has a larger standard deviation is dropped."""
 
 
-@checks_arguments
 def reconstruct(
     scans: Sequence[Scan],
     T_world_drone: Array,
@@ -40,7 +36,7 @@ def reconstruct(
 
     There are two passes: first the dominant bars, then the shorter ones between them, which become visible once the
     sections of the first are fitted. The axis of a bar is the line through the centroids of its sections. A bar with
-    too few points for its section or direction is dropped, and so are lines in plates (`sections.choose`), on surfaces
+    too few points for its section or direction is dropped, and so are lines in plates (`sections.fit`), on surfaces
     such as ground and walls (`Ridges`), and others that do not stand free (`freedom_of`).
 
     Parameters

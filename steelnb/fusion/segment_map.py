@@ -1,21 +1,24 @@
-"""The map of segment odometry: the segments of all scans so far, associated and merged by their moments."""
+"""The map of segment odometry: the segments of all scans so far, associated and merged by their moments.
+
+The report's incremental reconstruction: the bars of a map so far, tied at joints.
+"""
 
 import math
 
 import numpy as np
 from numpy.typing import NDArray
 
-from steelnb.core.arguments import checks_arguments
 from steelnb.core.errors import InputError
 from steelnb.core.kernels import njit
 from steelnb.core.types import Array, IntArray, Segments, shift_of
+from steelnb.fusion.joints import find_joints
+from steelnb.fusion.structure import Structure
 from steelnb.settings import FusionSettings
 
 GAP_MAX_M = 0.2
 """Maximum gap along the axis between a segment and its bar."""
 
 
-@checks_arguments
 def associate(new: Segments, known: Segments, settings: FusionSettings) -> IntArray:
     """The nearest of K known segments for each of M new ones ``(M,)``, −1 if none matches; both in one frame, metres.
 
@@ -78,11 +81,10 @@ class SegmentMap:
     merged into each.
 
     Two bars are merged if one would be associated with the other as a new segment. The final reconstruction instead
-    has all bars at once, knows their widths, and distinguishes pieces from copies (`candidates.merge_pieces`); a scan's
-    points are merged before they are segments (`hough.segments_kernels.merge`).
+    has all bars at once, knows their widths, and distinguishes pieces from copies (`bars.merge_pieces`); a scan's
+    points are merged before they are segments (`hough.segments.merge`).
     """
 
-    @checks_arguments
     def __init__(self, settings: FusionSettings | None = None) -> None:
         self.settings = FusionSettings() if settings is None else settings
         self.sightings = np.zeros(0, dtype=np.int64)
@@ -97,7 +99,6 @@ class SegmentMap:
     def __repr__(self) -> str:
         return f"SegmentMap({len(self)} bars, {self.segments.length.sum():.2f} m in all, of {self.inserts} scans)"
 
-    @checks_arguments
     def insert(self, new: Segments) -> IntArray:
         """Add M segments in the world frame; returns the bar of the map that each was merged into ``(M,)``.
 
@@ -178,3 +179,23 @@ def _moments(segments: Segments) -> Array:
     spread = half_run[:, :, None] * half_run[:, None, :] / 3.0
     outer = count[:, None, None] * (spread + middle[:, :, None] * middle[:, None, :])
     return np.column_stack([count, count[:, None] * middle, outer.reshape(-1, 9), count * segments.radius**2])
+
+
+SIGHTINGS_MIN, FORGET_FRAMES = 5, 50
+"""A bar counts from its fifth sighting on, after a second of flight. One with fewer is dropped after ten seconds out of
+sight."""
+
+
+def structure_of(bars: SegmentMap) -> Structure:
+    """The bars of a map with at least `SIGHTINGS_MIN` sightings, tied at joints (`find_joints`). An empty structure
+    states the reason.
+
+    The axis of a bar runs through the middle of its points, so on the near side of its section; its width is NaN.
+    ``sigma_m``: spread of the points over the root of the sightings, since errors within one sighting are correlated.
+    """
+    chosen = bars.sightings >= SIGHTINGS_MIN
+    segments, sightings = bars.segments.take(chosen), bars.sightings[chosen]
+    if not len(segments):
+        return Structure.empty(f"none of {len(bars)} bars was seen {SIGHTINGS_MIN} times")
+    joint, tie, led = find_joints(segments, 2 * segments.radius)
+    return Structure(led, np.full(len(led), np.nan), sightings, segments.radius / np.sqrt(sightings), joint, tie)

@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from steelnb.core.arguments import checks_arguments
 from steelnb.core.checks import check_length, checked_array, checked_integers, checked_sizes, set_checked
 from steelnb.core.errors import InputError
 from steelnb.core.types import Array, IntArray, Segments
@@ -58,7 +57,6 @@ class Structure:
         return f"Structure({len(self)} bars, {self.segments.length.sum():.2f} m in all, {len(self.joint)} joints{why})"
 
     @staticmethod
-    @checks_arguments
     def of(bars: Segments, reason: str = "") -> "Structure":
         """Bars without joints, of unknown width and accuracy, each observed once."""
         unknown = np.full(len(bars), np.nan)

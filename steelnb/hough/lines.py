@@ -5,12 +5,10 @@ import math
 import numpy as np
 from scipy.spatial import cKDTree
 
-from steelnb.core.arguments import checks_arguments
 from steelnb.core.checks import check_coordinates, checked_cloud, checked_integer, checked_number
 from steelnb.core.errors import InputError
 from steelnb.core.types import Array, Lines
-from steelnb.hough.directions import directions
-from steelnb.hough.transform import iterate
+from steelnb.hough.transform import directions, iterate
 
 DX_MIN_M, DX_PER_SPACING, SAMPLE = 0.07, 1.2, 5000
 """Minimum of the default dx, its ratio to the point spacing, and number of points that are sampled for the spacing."""
@@ -18,7 +16,6 @@ MAX_CELLS = 1 << 26
 """Maximum size of the vote image: 64 million cells of 4 bytes, 256 MiB."""
 
 
-@checks_arguments
 def detect_lines(
     points: Array,
     dx: float | None = None,

@@ -238,7 +238,7 @@ def finding_bars(
     map_min_votes: Some[Annotated[int, Field(ge=2)]], cloud_seeds: dict[str, Some[Seed]], cloud_s: Duration,
 ) -> dict[tuple[str, int], ExperimentSettings]:  # fmt: skip
     """The flights of the clouds of whole towers, by tower and seed."""
-    from steelnb.hough.alternatives.methods import FINDERS, OPTIONS
+    from steelnb.hough.alternatives import FINDERS, OPTIONS
 
     for name, some in {"methods": methods, "slow": slow, "options": options}.items():
         for method in some:

@@ -18,11 +18,11 @@ from steelnb.core.files import reading
 from steelnb.core.geometry import transform_points
 from steelnb.core.rng import stream
 from steelnb.core.types import Array, CameraImages, Flight, GreyImage, Segments, project, unproject
+from steelnb.fusion.cloud_bars import bars_of_cloud
 from steelnb.fusion.structure import Structure
-from steelnb.fusion.whole_cloud import bars_of_cloud
-from steelnb.hough.alternatives.methods import find_bars_by
+from steelnb.hough.alternatives import find_bars_by
 from steelnb.hough.lines import default_dx
-from steelnb.hough.whole_structure.search import segment_structure
+from steelnb.hough.whole_structure import segment_structure
 from steelnb.metrics import SeenMembers, SegmentScore, score_segments, seen_members
 from steelnb.metrics.structure import Reference, reference, score_structure
 from steelnb.notebook.cases import cloud_case
@@ -110,7 +110,7 @@ def _with_clutter(points: Array, share: float, seed: int, k: int) -> Array:
 
 
 def attempt(method: str, scene: FrameScene, **options: Any) -> Trial:
-    """Segment a scene by one of `hough.alternatives.methods.FINDERS` with its own options, and score the result."""
+    """Segment a scene by one of `hough.alternatives.FINDERS` with its own options, and score the result."""
     begin = time.perf_counter()
     segments = find_bars_by(method, scene.points, seed=scene.seed, **options)
     seconds = time.perf_counter() - begin

@@ -10,7 +10,7 @@ from steelnb import experiment, plots
 from steelnb.core.errors import SteelnbError
 from steelnb.core.types import Array, Segments, Trajectory
 from steelnb.hough.lines import default_dx
-from steelnb.hough.whole_structure.search import MIN_VOTES, segment_structure
+from steelnb.hough.whole_structure import MIN_VOTES, segment_structure
 from steelnb.metrics import paired_clouds
 from steelnb.notebook.runs import Flights
 from steelnb.notebook.tables import title

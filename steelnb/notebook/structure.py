@@ -11,11 +11,10 @@ import pandas as pd
 
 from steelnb import experiment
 from steelnb.core.types import Array, Flight, IntArray, Segments
-from steelnb.fusion.candidates import find_bars
-from steelnb.fusion.incremental import FORGET_FRAMES, SIGHTINGS_MIN, structure_of
+from steelnb.fusion.bars import Ridges, find_bars
 from steelnb.fusion.mapped_scans import MappedScans
 from steelnb.fusion.reconstruct import reconstruct
-from steelnb.fusion.ridges import Ridges
+from steelnb.fusion.segment_map import FORGET_FRAMES, SIGHTINGS_MIN, structure_of
 from steelnb.fusion.structure import Structure
 from steelnb.metrics.segments import match_members
 from steelnb.metrics.structure import Reference, StructureScore, reference, score_structure, toward_sensor_m

@@ -18,7 +18,7 @@ from steelnb.points.covariances import UPPER, neighbour_covariances, regularised
 from steelnb.points.kdtree import build_kdtree
 from steelnb.points.ranges import SIGMA_M, range_sigma_m
 from steelnb.registration import FREE, AlignOptions, AnyTarget, RegistrationResult, Target, VoxelTarget, align
-from steelnb.registration.degeneracy import NORMALS_MIN
+from steelnb.registration.solver import NORMALS_MIN
 from steelnb.settings import LoamSettings, OdometrySettings, RegistrationSettings
 
 INLIER_SHARE_MIN = 0.3

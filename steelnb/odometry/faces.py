@@ -18,17 +18,12 @@ from steelnb.core.arguments import checks_arguments
 from steelnb.core.errors import InputError
 from steelnb.core.geometry import information_at, moved_poses, pose_step
 from steelnb.core.types import Array, Imu, Scan, Segments, Trajectory
-from steelnb.fusion.adjustment.adjust import adjust
-from steelnb.fusion.adjustment.drift_factors import (
-    DRIFT_PERIOD_S,
-    DRIFT_SIGMA,
-    TILT_SIGMA_RAD,
-    pose_size,
-)
+from steelnb.fusion.adjustment.factors import DRIFT_PERIOD_S, DRIFT_SIGMA, TILT_SIGMA_RAD
 from steelnb.fusion.adjustment.imu_factors import Inertial
-from steelnb.fusion.adjustment.problem import Problem
+from steelnb.fusion.adjustment.problem import Problem, pose_size
+from steelnb.fusion.adjustment.smooth import adjust
+from steelnb.fusion.bars import VOXEL_M
 from steelnb.fusion.mapped_scans import MappedScans, insert_scan
-from steelnb.fusion.ridges import VOXEL_M
 from steelnb.odometry.base import BaseOdometry, Outcome, Stopwatch
 from steelnb.odometry.clouds import CloudOdometry
 from steelnb.odometry.inertial import InertialPrediction
@@ -200,7 +195,7 @@ class FaceOdometry(BaseOdometry):
 
 
 FITS, STAGES = 2, ((1, 2),)
-"""Number of times that bars are fitted before an adjustment, and its stages (`adjust.Stages`)."""
+"""Number of times that bars are fitted before an adjustment, and its stages (`smooth.Stages`)."""
 KEYFRAMES_MAX, RECENT = 400, 100
 """Above this number every second keyframe is dropped, except the first and the most recent ones. This bounds the time
 of an adjustment."""

@@ -28,7 +28,7 @@ from steelnb.core.geometry import (
     yaw_of,
 )
 from steelnb.core.types import GRAVITY, Array, Imu
-from steelnb.fusion.adjustment.drift_factors import DRIFT_PERIOD_S, FIXED, TILT_SIGMA_RAD, drift_variance
+from steelnb.fusion.adjustment.factors import DRIFT_PERIOD_S, FIXED, TILT_SIGMA_RAD, drift_variance
 from steelnb.fusion.adjustment.imu_factors import (
     BIAS,
     FORCE,

@@ -11,8 +11,7 @@ from steelnb.core.arguments import checks_arguments
 from steelnb.core.estimates import Estimate
 from steelnb.core.types import Array, CameraImages, Flight, Imu
 from steelnb.fusion.adjustment.imu_factors import check_imu
-from steelnb.fusion.adjustment.smooth import smooth
-from steelnb.fusion.adjustment.uncertainty import with_range_sigmas
+from steelnb.fusion.adjustment.smooth import smooth, with_range_sigmas
 from steelnb.odometry.base import BaseOdometry, Odometry, OnStep, make_own, run
 from steelnb.odometry.clouds import CloudOdometry
 from steelnb.odometry.deepvo import DeepVoOdometry

@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 
 from steelnb.core.geometry import rotation_between
 from steelnb.core.types import Array
-from steelnb.fusion.adjustment.drift_factors import DRIFT_PERIOD_S, tilt_decay
+from steelnb.fusion.adjustment.factors import DRIFT_PERIOD_S, tilt_decay
 from steelnb.registration import Term, prior_term
 
 NONE = np.zeros((0, 3))
@@ -101,7 +101,7 @@ class DriftPrediction:
     Along unobserved directions, the rate is unknown.
 
     If ``tilt_sigma_rad`` is above 0, the prior's roll and pitch have errors: a Gauss-Markov process with that standard
-    deviation and the correlation time `drift_factors.TILT_S`. Their correction decays and has no rate.
+    deviation and the correlation time `factors.TILT_S`. Their correction decays and has no rate.
     """
 
     def __init__(self, prior_sigma: tuple[float, float] | None, tilt_sigma_rad: float = 0.0) -> None:

@@ -10,11 +10,11 @@ import numpy as np
 
 from steelnb.core.geometry import UPRIGHT_DOF, moved_poses, pose_step, transform_points
 from steelnb.core.types import Array, IntArray, Scan
-from steelnb.fusion.adjustment import drift_factors
-from steelnb.fusion.adjustment.point_factors import FACE_DOF, linearised, noise_ratio
-from steelnb.fusion.adjustment.problem import Bars, Problem
+from steelnb.fusion.adjustment import factors
+from steelnb.fusion.adjustment.factors import FACE_DOF, linearised, noise_ratio
+from steelnb.fusion.adjustment.problem import Bars, Problem, pose_size
+from steelnb.fusion.bars import VOXEL_M
 from steelnb.fusion.point_to_bar import BarVoxels, Observations, face_residuals, world_points
-from steelnb.fusion.ridges import VOXEL_M
 from steelnb.fusion.sections.shapes import THICKNESS_SPREAD
 from steelnb.odometry.near_side import pixels_on_surfaces
 
@@ -42,7 +42,7 @@ RATIO_BOUNDS = (1.0, 6.0)
 
 class Fit(NamedTuple):
     """A registration: the pose of the sensor; ``information (D, D)`` and ``variance (D,)`` of a step from it
-    (`drift_factors`), D = 4 or 6; number of matched ``bars``; ``ratio``: range noise as a multiple of that in
+    (`factors`), D = 4 or 6; number of matched ``bars``; ``ratio``: range noise as a multiple of that in
     `points.ranges`; ``reason``: why it is rejected, else empty."""
 
     T_world_sensor: Array
@@ -62,16 +62,16 @@ class Locator:
 
     def __init__(self, bars: Bars, stamp_s: float = 0.0, ratio: float = 1.0, tilt_sigma_rad: float = 0.0) -> None:
         self.bars, self.ratio, self.tilt_sigma_rad = bars, ratio, tilt_sigma_rad
-        self.variance, self.stamp_s = np.zeros(drift_factors.pose_size(tilt_sigma_rad)), stamp_s
+        self.variance, self.stamp_s = np.zeros(pose_size(tilt_sigma_rad)), stamp_s
         self._voxels = BarVoxels.around(bars.segments, MATCH_REACH_M, MATCH_MARGIN_M, VOXEL_M)
 
     def predict(self, stamp_s: float) -> None:
         """Add the variance of the drift since the last scan."""
-        passed_s = max(stamp_s - self.stamp_s, 0.0) or drift_factors.DRIFT_PERIOD_S
+        passed_s = max(stamp_s - self.stamp_s, 0.0) or factors.DRIFT_PERIOD_S
         self.stamp_s = stamp_s
         self.variance = self.variance.copy()
-        self.variance[-UPRIGHT_DOF:] += drift_factors.drift_variance(passed_s)
-        decay = drift_factors.tilt_decay(2.0 * passed_s)  # of a variance
+        self.variance[-UPRIGHT_DOF:] += factors.drift_variance(passed_s)
+        decay = factors.tilt_decay(2.0 * passed_s)  # of a variance
         self.variance[:-UPRIGHT_DOF] = decay * self.variance[:-UPRIGHT_DOF] + (1.0 - decay) * self.tilt_sigma_rad**2
 
     def fit(self, points: Array, T_start: Array, known: Array | None = None) -> Fit:

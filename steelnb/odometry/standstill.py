@@ -12,7 +12,7 @@ import numpy as np
 
 from steelnb.core.geometry import cross_matrix
 from steelnb.core.types import GRAVITY, Array, Imu, Trajectory
-from steelnb.fusion.adjustment.drift_factors import drift_variance
+from steelnb.fusion.adjustment.factors import drift_variance
 from steelnb.fusion.adjustment.imu_factors import FORCE, GYRO, ROTATION, VELOCITY
 from steelnb.settings import ImuSettings
 

@@ -11,7 +11,7 @@ from steelnb.core.types import Array, Imu, Scan
 from steelnb.odometry import make_odometry
 from steelnb.planning.planner import Decision, Planner
 from steelnb.points import preprocess_scan
-from steelnb.points.calibration import calibrated_scan
+from steelnb.points.ranges import calibrated_scan
 from steelnb.settings import ExperimentSettings
 
 

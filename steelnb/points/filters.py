@@ -4,12 +4,11 @@ import math
 
 import numpy as np
 
-from steelnb.core.arguments import checks_arguments
 from steelnb.core.checks import checked_number, checked_points, checked_pose
 from steelnb.core.errors import InputError
 from steelnb.core.kernels import njit
 from steelnb.core.types import Array, Scan
-from steelnb.points.voxel_kernels import find, hash_table, put
+from steelnb.points.voxel_map import find, hash_table, put
 from steelnb.settings import PreprocessSettings
 
 
@@ -35,7 +34,6 @@ def crop(points, T_drone_sensor, lower, upper, up, height, floor):
     return kept[:count]
 
 
-@checks_arguments
 def voxel_grid(points: Array, leaf_m: float) -> Array:
     """Centroids ``(M, 3)`` of the points ``(N, 3)`` in each occupied voxel of edge ``leaf_m``, like PCL's VoxelGrid.
 
@@ -91,7 +89,6 @@ def _group_by_voxel(points, leaf_m, low, extent):
     return grouped, first
 
 
-@checks_arguments
 def preprocess_scan(scan: Scan, T_world_drone: Array, T_drone_sensor: Array, settings: PreprocessSettings) -> Array:
     """Cropped and voxel-filtered points ``(N, 3)`` of a scan in the drone frame, metres, without the floor.
 

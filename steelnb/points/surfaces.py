@@ -1,4 +1,12 @@
-"""Surfaces of a cloud: ground, walls, decks and roofs, where points cover a plane over much more than a bar's width."""
+"""Compiled search for the cells of a cloud that lie on surfaces.
+
+Directions of the lines in which a scanner samples a surface: a spinning one leaves rings on the ground, and rows on
+walls. Between them there may be metres.
+
+Surfaces of a cloud: ground, walls, decks and roofs, where points cover a plane over much more than a bar's width.
+
+The search for the surfaces of a whole cloud, however densely each is sampled.
+"""
 
 import math
 from collections.abc import Callable
@@ -9,12 +17,130 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from steelnb.core.geometry import connected
+from steelnb.core.kernels import njit
 from steelnb.core.types import Array, IntArray
 from steelnb.points.filters import voxel_grid
-from steelnb.points.neighbours import columns_of
-from steelnb.points.surface_kernels import DISC, local_planes
-from steelnb.points.voxel_kernels import offsets_within, pack
-from steelnb.points.voxel_map import VoxelMap
+from steelnb.points.kdtree import advance, columns_of, gather
+from steelnb.points.moments import eigen
+from steelnb.points.voxel_map import VoxelMap, offsets_within, pack
+
+DISC = 3.5
+"""Radius, in cells, of the disc that points must cover."""
+COVERED_MIN = 0.7
+"""Minimum share of the disc that is covered. Bars that meet at a joint of a lattice cover less than half of it."""
+ASIDE_MAX = 0.3
+"""Maximum share of the points around a cell of a surface that are farther from it than those near it."""
+
+
+@njit(cache=True, nogil=True)
+def local_planes(key, mean, cell, reach, around):  # type: ignore[no-untyped-def]
+    """Plane through the cells around each cell: a point of it ``(M, 3)``, its normal ``(M, 3)``, and whether it is
+    covered ``(M,)`` by those within ``reach`` of it. These alone determine a covered plane: steel stands on ground. The
+    keys of the cells are sorted; ``around``: `Columns`."""
+    count = len(key)
+    point, normal, inner = np.zeros((count, 3)), np.zeros((count, 3)), np.zeros(count, np.bool_)
+    first, last = np.zeros(len(around.low), np.int64), np.zeros(len(around.low), np.int64)
+    at, others = np.full(len(around.place), -1), np.empty(len(around.place), np.int64)
+    is_covered, full = np.zeros(64, np.bool_), math.pi * DISC * DISC
+    for n in range(count):
+        if advance(key, n, around, first, last) < COVERED_MIN * full:
+            continue
+        found = gather(key, n, around, first, last, at, others)
+        sx, sy, sz, nx, ny, nz, ux, uy, uz = _plane(mean, n, others[:found])
+        vx, vy, vz = ny * uz - nz * uy, nz * ux - nx * uz, nx * uy - ny * ux
+        is_covered[:] = False
+        near = 0
+        for k in range(found):
+            x, y, z = mean[others[k], 0] - sx, mean[others[k], 1] - sy, mean[others[k], 2] - sz
+            if abs(x * nx + y * ny + z * nz) <= reach:
+                others[near] = others[k]
+                near += 1
+                # Cells of the disc, seen along the normal: 8 x 8 of them.
+                i = math.floor((x * ux + y * uy + z * uz) / cell) + 4
+                j = math.floor((x * vx + y * vy + z * vz) / cell) + 4
+                if 0 <= i < 8 and 0 <= j < 8:
+                    is_covered[8 * i + j] = True
+        inner[n] = is_covered.sum() >= COVERED_MIN * full and found - near <= ASIDE_MAX * near
+        if inner[n] and near < found:
+            sx, sy, sz, nx, ny, nz, _, _, _ = _plane(mean, n, others[:near])
+        point[n, 0], point[n, 1], point[n, 2] = sx, sy, sz
+        normal[n, 0], normal[n, 1], normal[n, 2] = nx, ny, nz
+    return point, normal, inner
+
+
+@njit(cache=True, nogil=True)
+def _plane(mean, centre, others):  # type: ignore[no-untyped-def]
+    """Plane through some of the points, which lie around the ``centre``: their mean, its normal and the direction in
+    which they extend farthest."""
+    found = len(others)
+    sx = sy = sz = 0.0
+    for k in range(found):
+        sx += mean[others[k], 0] - mean[centre, 0]
+        sy += mean[others[k], 1] - mean[centre, 1]
+        sz += mean[others[k], 2] - mean[centre, 2]
+    sx, sy, sz = mean[centre, 0] + sx / found, mean[centre, 1] + sy / found, mean[centre, 2] + sz / found
+    xx = xy = xz = yy = yz = zz = 0.0
+    for k in range(found):
+        x, y, z = mean[others[k], 0] - sx, mean[others[k], 1] - sy, mean[others[k], 2] - sz
+        xx += x * x
+        xy += x * y
+        xz += x * z
+        yy += y * y
+        yz += y * z
+        zz += z * z
+    small, _, large = eigen(xx / found, xy / found, xz / found, yy / found, yz / found, zz / found)
+    return sx, sy, sz, small[1], small[2], small[3], large[1], large[2], large[3]
+
+
+POINTS_MAX, AROUND_MAX, LINES_MIN = 2000, 12, 20
+"""Maximum number of points at which the direction is measured, and of points around each; and minimum number of those
+that lie along a line."""
+FLAT_MAX = 0.1
+"""Maximum ratio of the variances across and along a line."""
+BINS, SIDE_BINS, STRONGEST = 36, 4, 4
+"""Number of bins of 180°; of those to each side of the direction of rows, which curve; and of the strongest directions
+of a lattice, each of three bins: chords, struts and two diagonals."""
+
+
+def line_directions(points: Array, normal: Array, radius_m: float) -> Array:
+    """Numbers of lines in a plane by their direction ``(BINS,)``, over 180°; all 0 if there are fewer than `LINES_MIN`.
+
+    ``points (N, 3)``, metres, in the plane with the unit ``normal (3,)``. A line is counted at a point if those within
+    ``radius_m`` of it lie along one.
+    """
+    if len(points) < LINES_MIN:
+        return np.zeros(BINS)
+    u, v = np.linalg.svd(normal[None, :])[2][1:]
+    flat = points @ np.column_stack([u, v])
+    some = flat[:: -(-len(flat) // POINTS_MAX)]
+    distance, near = cKDTree(flat).query(some, min(AROUND_MAX, len(flat)), distance_upper_bound=radius_m)
+    inside = np.isfinite(distance)
+    offset = np.where(inside[..., None], flat[np.where(inside, near, 0)] - some[:, None], 0.0)
+    count = inside.sum(axis=1)
+    x, y = np.moveaxis((offset - (offset.sum(axis=1) / count[:, None])[:, None]) * inside[..., None], -1, 0)
+    xx, xy, yy = (x * x).sum(axis=1), (x * y).sum(axis=1), (y * y).sum(axis=1)
+    root = np.hypot(0.5 * (xx - yy), xy)
+    is_line = (count > 3) & (0.5 * (xx + yy) - root < FLAT_MAX * (0.5 * (xx + yy) + root))
+    if np.count_nonzero(is_line) < LINES_MIN:
+        return np.zeros(BINS)
+    angle = 0.5 * np.arctan2(2 * xy, xx - yy)[is_line] % math.pi
+    return np.bincount((angle / math.pi * BINS).astype(np.int64) % BINS, minlength=BINS).astype(float)
+
+
+def share_of_rows(lines: Array) -> float:
+    """Share of the lines ``(BINS,)`` within `SIDE_BINS` of the strongest direction; 0 without lines."""
+    around = sum(np.roll(lines, shift) for shift in range(-SIDE_BINS, SIDE_BINS + 1))
+    return float(np.max(around) / max(lines.sum(), 1.0))
+
+
+def share_of_lattice(lines: Array) -> float:
+    """Share of the lines ``(BINS,)`` in the `STRONGEST` directions; 1 without lines."""
+    left, total = lines.copy(), lines.sum()
+    for _ in range(STRONGEST):
+        best = int((left + np.roll(left, 1) + np.roll(left, -1)).argmax())
+        left[[best - 1, best, (best + 1) % BINS]] = 0.0
+    return float(1.0 - left.sum() / total) if total else 1.0
+
 
 NEAR = 1.2
 """Maximum distance, in cells, of points of a surface from it."""
@@ -198,3 +324,90 @@ class Surfaces:
             area_m2 = len(np.unique(seen, axis=0)) * cell_m**2
             found.append(Surface(centre, vector[:, 0], area_m2, math.sqrt(max(value[0], 0.0)), int(count[k])))
         return found
+
+
+COARSER, DENSE_MIN, CLEAR_VOXELS = (2, 4), 4, 3
+"""See `surfaces_of`: wider cells, in multiples of the edge; number of points in a voxel of dense steel, or this part
+of the usual one; and distance of what is sparse from it, in voxels, since range noise spreads points around a bar."""
+RINGS, NEW_RINGS_MIN, BELOW_MAX, CONTINUED = (8, 16, 32), 0.02, 0.02, 6.4
+"""Cells in which ground is sought that was scanned in rings, in multiples of the edge; minimum share of it that is new;
+maximum share of the points below it; and how many times farther than other surfaces it continues past its cells."""
+STEPS, GROUND_STEPS = 3, 9
+"""Maximum number of cells by which a surface continues, and by which ground does, which is seen in strips and patches.
+A member may continue a wall or a deck in its plane."""
+RINGS_MAX, ROWS_MIN, LINE_CELLS = 0.8, 0.97, 2.5
+"""Maximum share of the lines of rings in four directions, .4 to .6 for ground and 1 for a lattice; minimum share of
+those on a wall in one direction; and radius, in cells, in which a direction is measured."""
+
+
+def surfaces_of(voxels: VoxelMap, ridge: Array, cell_m: float) -> Surfaces:
+    """The surfaces of a cloud: in its ridges, and in wider cells in what is sparse and off dense steel. Ground that is
+    sampled more sparsely than the steel has gaps, and its points lie along many lines. Level surfaces are sought in the
+    whole cloud, too: if its density varies, ground may be as dense as steel elsewhere. Towers of few points have faces
+    with the look of walls, but no floors; a wall that was scanned in rows has lines in one direction. The lowest
+    surface may have been scanned in rings: then its lines have all directions. All continue to their rims."""
+    found, thin, weight = Surfaces.found_in(ridge, cell_m), voxels.means(), voxels.weights()
+    ordered = np.sort(weight)
+    usual = ordered[np.searchsorted(np.cumsum(ordered), weight.sum() / 2)]  # half of the points lie in fuller voxels
+    label, is_dense = found.label_of(thin), weight >= min(DENSE_MIN, usual / DENSE_MIN)
+    steel = thin[is_dense & (label < 0)]
+    is_sparse = ~is_dense
+    if len(steel):
+        distance = cKDTree(steel).query(thin[is_sparse], distance_upper_bound=CLEAR_VOXELS * voxels.voxel_m)[0]
+        is_sparse[is_sparse] = np.isinf(distance)
+
+    def is_level_or_in_rows(wide: Surfaces) -> NDArray[np.bool_]:
+        rows = _lines_off(wide, ~wide.is_level, found, thin, LINE_CELLS * cell_m, share_of_rows)
+        return wide.is_level | (rows >= ROWS_MIN)
+
+    def is_ground_in_rings(wide: Surfaces) -> NDArray[np.bool_]:
+        return _lines_off(wide, _is_ground(wide, thin), found, thin, LINE_CELLS * cell_m, share_of_lattice) <= RINGS_MAX
+
+    near_m = NEAR * cell_m
+    for wider in COARSER:
+        label = label if wider == COARSER[0] else found.label_of(thin)
+        found = found.extended(thin[is_sparse | (label >= 0)], wider * cell_m, near_m)
+        found = found.extended(thin, wider * cell_m, near_m, is_level_or_in_rows)
+    for wider in RINGS:
+        found = found.extended(thin, wider * cell_m, near_m, is_ground_in_rings, NEW_RINGS_MIN)
+    # Last, since what is sought in wider cells must be new.
+    is_in_rings = found.cell_m > COARSER[-1] * cell_m
+    found = replace(found, reach_m=np.where(is_in_rings, CONTINUED, 1.0) * found.reach_m)
+    return found.grown(thin, np.where(_is_ground(found, thin), GROUND_STEPS, STEPS))
+
+
+def _lines_off(
+    wide: Surfaces,
+    chosen: NDArray[np.bool_],
+    known: Surfaces,
+    points: Array,
+    radius_m: float,
+    share: Callable[[Array], float],
+) -> Array:
+    """A share of the lines ``(S,)`` along which the ``points (N, 3)`` on each ``chosen (S,)`` surface lie, without
+    points on known surfaces; NaN for the other surfaces."""
+    found = np.full(len(wide), np.nan)
+    if not chosen.any():
+        return found
+    label, cells_of = np.where(known.label_of(points) < 0, wide.label_of(points), -1), wide.cells
+    for k in np.flatnonzero(chosen).tolist():
+        cells = cells_of[k]
+        normal = np.linalg.svd(cells - cells.mean(axis=0), full_matrices=False)[2][2]
+        found[k] = share(line_directions(points[label == k], normal, radius_m))
+    return found
+
+
+def _is_ground(surfaces: Surfaces, points: Array) -> NDArray[np.bool_]:
+    """Whether each surface is level and the lowest ``(S,)``: at most `BELOW_MAX` of the ``points (N, 3)`` lie below it,
+    by more than twice its band."""
+    is_ground, cells_of, height = surfaces.is_level, surfaces.cells, points[:, 2]
+    for k in np.flatnonzero(is_ground).tolist():
+        cells = cells_of[k]
+        bound = cells[:, 2] - 2 * surfaces.band_m
+        below, unsure = height < bound.min(), (height >= bound.min()) & (height < bound.max())
+        count, most = np.count_nonzero(below), np.count_nonzero(below | unsure)
+        if count / len(points) <= BELOW_MAX < most / len(points):
+            nearest = cKDTree(cells[:, :2]).query(points[unsure, :2])[1]
+            count += np.count_nonzero(height[unsure] < bound[nearest])
+        is_ground[k] = count / len(points) <= BELOW_MAX
+    return is_ground

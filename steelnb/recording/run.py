@@ -14,7 +14,7 @@ from steelnb.core.errors import InputError
 from steelnb.core.estimates import Estimate, OdometryStep
 from steelnb.core.files import new_folder
 from steelnb.core.types import Array, Flight, IntArray, Scan, Segments, Trajectory
-from steelnb.fusion.adjustment.uncertainty import axis_sigma_m
+from steelnb.fusion.adjustment.smooth import axis_sigma_m
 from steelnb.fusion.mapped_scans import MappedScans
 from steelnb.fusion.reconstruct import reconstruct
 from steelnb.fusion.structure import Structure
@@ -24,7 +24,7 @@ from steelnb.io.recordings import UNREADABLE
 from steelnb.odometry.standstill import rest_duration_s
 from steelnb.plots.draw import figure_bars, figure_flight
 from steelnb.plots.style import COLOURS, LABELS
-from steelnb.points.calibration import calibrated
+from steelnb.points.ranges import calibrated
 from steelnb.recording.evaluate import TIMES, evaluate, references
 from steelnb.recording.summary import WARNINGS, result_lines
 from steelnb.settings import ExperimentSettings, OdometrySettings, OrbSettings, StructureSettings

@@ -10,12 +10,10 @@ import numpy as np
 from steelnb.core.errors import InputError
 from steelnb.core.files import display_name, new_folder
 from steelnb.core.types import Array, Segments
-from steelnb.fusion.candidates import LENGTH_MIN_M
-from steelnb.fusion.cloud_bars import CloudBars
-from steelnb.fusion.ridges import TUBE_M
-from steelnb.fusion.whole_cloud import bars_of_cloud, default_tube
+from steelnb.fusion.bars import LENGTH_MIN_M, TUBE_M
+from steelnb.fusion.cloud_bars import CloudBars, bars_of_cloud, default_tube
 from steelnb.hough.lines import spacing
-from steelnb.hough.whole_structure.search import MIN_VOTES
+from steelnb.hough.whole_structure import MIN_VOTES
 from steelnb.io.clouds import Cloud, read_cloud
 from steelnb.io.coordinates import STRAY_M
 from steelnb.io.structures import write_segments
@@ -72,7 +70,7 @@ def segment_file(
     """Find the bars in the cloud of a file and write ``segments.csv`` and ``segments.png`` to the folder ``output``;
     with ``scene``, also the interactive ``segments.html``.
 
-    Ground, walls and other surfaces are recognised and left out (`steelnb.fusion.whole_cloud`). ``dx_m`` is the radius
+    Ground, walls and other surfaces are recognised and left out (`steelnb.fusion.cloud_bars`). ``dx_m`` is the radius
     of the tube that holds a bar's points (default: `bars_of_cloud`), ``voxel_m`` the edge of the voxel filter (default:
     two thirds of dx). ``min_votes`` is the minimum number of voxels of a bar, and the minimum by which those in its
     tube exceed those around it. ``on_stage`` is told what goes on.

@@ -2,8 +2,7 @@
 
 from steelnb.registration.icp import register
 from steelnb.registration.pcl import Aligned, gicp_as_pcl, icp_as_pcl
-from steelnb.registration.result import RegistrationResult
-from steelnb.registration.solver import FREE, AlignOptions, Term, align, prior_term
+from steelnb.registration.solver import FREE, AlignOptions, RegistrationResult, Term, align, prior_term
 from steelnb.registration.target import AnyTarget, Target, VoxelTarget, make_target
 
 __all__ = [

@@ -10,9 +10,7 @@ from steelnb.core.errors import InputError
 from steelnb.core.types import Array
 from steelnb.points import VoxelMap
 from steelnb.points.covariances import neighbour_covariances, regularised
-from steelnb.registration.degeneracy import unobserved_at
-from steelnb.registration.result import RegistrationResult
-from steelnb.registration.solver import FREE, AlignOptions, align, pairs_needed
+from steelnb.registration.solver import FREE, AlignOptions, RegistrationResult, align, pairs_needed, unobserved_at
 from steelnb.registration.target import finite, make_target
 
 ERROR_OF = {"icp": "point", "plane": "plane", "gicp": "gicp"}

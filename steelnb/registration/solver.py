@@ -1,4 +1,16 @@
-"""The solver of the ICP family: find correspondences, linearise, solve in the free directions, repeat."""
+"""What a registration gives.
+
+Translations that the visible surfaces do not determine, such as those along a wall or over flat ground.
+
+The nearest neighbours of a scan in the map lie where the sensor sampled the surface. Even along a smooth wall the
+correspondences therefore fit best at one pose: that of the earlier scan. The information of this false minimum grows
+with the number of points, so no prior outweighs it. The solver therefore keeps the predicted translation in directions
+in which hardly any surface has its normal. This is the solution remapping of Zhang, Kaess and Singh, "On degeneracy of
+optimization-based state estimation problems" (ICRA 2016). It uses the normals instead of the Hessian, which depends on
+the sampling.
+
+The solver of the ICP family: find correspondences, linearise, solve in the free directions, repeat.
+"""
 
 import math
 from collections.abc import Callable, Sequence
@@ -9,10 +21,103 @@ import numpy as np
 
 from steelnb.core.geometry import exp_about, rotation_between, transform_points
 from steelnb.core.types import Array, IntArray
+from steelnb.points.covariances import normals
 from steelnb.registration import normal_equations as kernels
-from steelnb.registration.degeneracy import unobserved_shifts, without_shifts
-from steelnb.registration.result import RegistrationResult
-from steelnb.registration.target import AnyTarget
+from steelnb.registration.target import AnyTarget, Target
+
+
+@dataclass(frozen=True, eq=False)
+class RegistrationResult:
+    """Pose and convergence of a registration.
+
+    ``T_target_source (4, 4)``; ``iterations``; ``inliers``: number of pairs within the maximum correspondence distance;
+    ``reason``: why the solver stopped.
+
+    ``H (6, 6)`` is the final normal matrix of a twist ξ = (ω, v) in the axes of the target: a rotation about ``centre
+    (3,)``, the mean of the transformed source, and its translation. ``unobserved (u, 3)`` are unit vectors along which
+    the paired surfaces have no normals (`solver.unobserved_shifts`), so the pose along them is not reliable;
+    `align` with ``normals_min`` does not translate along them. ``squared_m2``: sum of the squared distances of the
+    pairs at the pose; ``points``: number of points of the source.
+    """
+
+    T_target_source: Array
+    iterations: int
+    inliers: int
+    H: Array
+    reason: str
+    centre: Array
+    unobserved: Array
+    squared_m2: float
+    points: int
+
+    @property
+    def rmse_m(self) -> float:
+        """Root mean square distance of the pairs, metres, NaN without a pair: Open3D's ``inlier_rmse``."""
+        return math.sqrt(self.squared_m2 / self.inliers) if self.inliers else math.nan
+
+    @property
+    def overlap(self) -> float:
+        """Share of the source's points that have a pair, 0 to 1: Open3D's ``fitness``."""
+        return self.inliers / max(self.points, 1)
+
+    def __repr__(self) -> str:
+        numbers = f"rmse {self.rmse_m:.4g} m, overlap {self.overlap:.2f}, {len(self.unobserved)} directions unobserved"
+        return f"RegistrationResult({self.reason} after {self.iterations} iterations, {numbers})"
+
+    @property
+    def converged(self) -> bool:
+        """Whether the last step was below both bounds."""
+        return self.reason == "converged"
+
+
+PAIRS_MAX = 500
+"""Maximum number of pairs, evenly picked, from which the directions of the surfaces are estimated."""
+SAMPLE = 150
+"""Maximum number of points of a source whose pairs show what a finished registration leaves open."""
+NORMALS_MIN = 0.05
+"""Minimum strength of the normals along a direction, relative to the strongest one. It is up to 0.02 along a noisy
+wall."""
+
+
+def unobserved_shifts(covariance: Array, match: IntArray, normals_min: float) -> Array:
+    """Unit vectors ``(u, 3)``, target frame, along which the paired surfaces have hardly any normals.
+
+    The normal n of a pair is the smallest eigenvector of the target's ``covariance (M, 6)``, an upper triangle, at
+    ``match (N,)``, −1 for no pair. The result is the eigenvectors of the mean of n nᵀ whose eigenvalue is below
+    ``normals_min`` times the largest. It is empty if there are no pairs.
+    """
+    paired = match[match >= 0]
+    if not len(paired):
+        return np.zeros((0, 3))
+    normal = normals(covariance[paired[:: max(1, len(paired) // PAIRS_MAX)]])
+    value, vector = np.linalg.eigh((normal[:, :, None] * normal[:, None, :]).mean(axis=0))
+    return np.ascontiguousarray(vector[:, value < normals_min * value[-1]].T)
+
+
+def unobserved_at(T_target_source: Array, source: Array, target: Target, limit_m: float) -> Array:
+    """`unobserved_shifts` of a ``source (N, 3)`` at a pose in a target, of the pairs within ``limit_m``.
+
+    At most `SAMPLE` points of the source are used, evenly picked. Normals are those of the target. Without a pair, no
+    direction is observed.
+    """
+    planes = target if target.filled else Target.with_planes(target.tree)
+    picked = np.linspace(0, len(source) - 1, min(len(source), SAMPLE)).astype(int)
+    match = planes.search(source[picked], limit_m)(T_target_source)
+    return unobserved_shifts(planes.covariance, match, NORMALS_MIN) if (match >= 0).any() else np.eye(3)
+
+
+def without_shifts(free: Array, unobserved: Array) -> Array:
+    """Columns ``(6, j)`` that span ``free (6, k)``, rotation first, without translations along ``unobserved (u, 3)``.
+
+    The rows of ``unobserved`` are orthonormal.
+    """
+    if not len(unobserved):
+        return free
+    remaining = free.copy()
+    remaining[3:] -= unobserved.T @ (unobserved @ free[3:])
+    vector, singular_value, _ = np.linalg.svd(remaining, full_matrices=False)
+    return np.asarray(vector[:, singular_value > 1e-9 * singular_value[0]])
+
 
 ERRORS = {"point": kernels.POINT, "plane": kernels.PLANE, "gicp": kernels.GICP}
 FREE = {"xyz": np.eye(6)[:, 3:], "xyz_yaw": np.eye(6)[:, 2:].copy(), "se3": np.eye(6)}
@@ -49,7 +154,7 @@ class AlignOptions:
     rotation_epsilon_rad, translation_epsilon_m: a step below both ends the iteration, as in small_gicp.
     accelerated: extrapolate steps that shrink at a constant rate (`_extrapolated`).
     normals_min: if above 0, ``gicp`` leaves out translations that the surfaces do not determine
-        (`degeneracy.unobserved_shifts`).
+        (`solver.unobserved_shifts`).
     pairs_anew: evaluate the result with the pairs at the returned pose, not with those from before the last step.
     """
 

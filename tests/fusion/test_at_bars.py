@@ -3,12 +3,10 @@
 import numpy as np
 import pytest
 
-from steelnb.fusion.candidates import beyond_ends
+from steelnb.fusion.bars import TUBE_M, beyond_ends
+from steelnb.fusion.cloud_bars import at_bars
 from steelnb.fusion.joints import REACH_M
-from steelnb.fusion.objects import at_bars
-from steelnb.fusion.ridges import TUBE_M
-from steelnb.hough.freedom import nearest_bar
-from steelnb.hough.whole_structure.search import within
+from steelnb.hough.near_segments import nearest_bar, within
 from tests.fusion.made import bars_of
 
 

@@ -13,7 +13,7 @@ from steelnb.core.errors import InputError
 from steelnb.core.geometry import moved_poses
 from steelnb.core.types import GRAVITY, Imu, Trajectory
 from steelnb.fusion import smooth
-from steelnb.fusion.adjustment import drift_factors, imu_factors
+from steelnb.fusion.adjustment import factors, imu_factors
 from steelnb.metrics import score_trajectory
 from steelnb.settings import ExperimentSettings, ImuSettings
 from steelnb.simulation import measured_imu
@@ -170,7 +170,7 @@ def test_smoothing_with_an_imu_finds_the_vertical_that_the_prior_has_wrong(flown
     assert errors[0] < errors[1]
     sigma = np.sqrt(found.pose_covariance[1:, [3, 4], [3, 4]])
     assert sigma.min() > 0
-    assert sigma.max() < drift_factors.TILT_SIGMA_RAD
+    assert sigma.max() < factors.TILT_SIGMA_RAD
 
 
 def test_a_flight_without_readings_is_smoothed_without(flown, without):

@@ -7,9 +7,8 @@ from hypothesis import strategies as st
 
 from steelnb.core.types import Segments
 from steelnb.fusion import Structure, joints
-from steelnb.fusion.candidates import merge_pieces, split_bends
+from steelnb.fusion.bars import TUBE_M, merge_pieces, split_bends
 from steelnb.fusion.joints import between_joints, find_joints, nearest_point, trim_bends
-from steelnb.fusion.ridges import TUBE_M
 from tests.fusion.made import bars_of, distance_to_lines, random_bars, rigid, structure_of_bars, turned
 
 SEEDS = st.integers(0, 10_000)

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from steelnb.fusion.adjustment import imu_factors
-from steelnb.fusion.adjustment.point_factors import summed
+from steelnb.fusion.adjustment.factors import summed
 from steelnb.fusion.adjustment.solver import Chain
 from steelnb.fusion.point_to_bar import Observations, face_residuals
 from steelnb.fusion.sections import shapes

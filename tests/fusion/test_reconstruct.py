@@ -11,9 +11,8 @@ from scipy.spatial.transform import Rotation
 from steelnb.core.errors import InputError
 from steelnb.experiment import simulate
 from steelnb.fusion import reconstruct
-from steelnb.fusion.candidates import find_bars
+from steelnb.fusion.bars import VOXEL_M, Ridges, find_bars
 from steelnb.fusion.joints import find_joints
-from steelnb.fusion.ridges import VOXEL_M, Ridges
 from steelnb.metrics.segments import match_members
 from steelnb.metrics.structure import reference, score_structure
 from steelnb.points import VoxelMap

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from steelnb.fusion.ridges import ridge_points
+from steelnb.fusion.bars import ridge_points
 from steelnb.points import VoxelMap
 from tests import naive
 

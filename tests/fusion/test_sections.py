@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from steelnb.fusion.adjustment.problem import Bars
 from steelnb.fusion.point_to_bar import BarVoxels, world_points
 from steelnb.fusion.sections import fit, shapes
-from steelnb.fusion.sections.choose import fit_sections
+from steelnb.fusion.sections.fit import fit_sections
 from steelnb.fusion.sections.histogram import HISTOGRAM, VIEWS, accumulate
 from steelnb.fusion.sections.shapes import THICKNESS
 from tests import naive

@@ -7,11 +7,9 @@ import numpy as np
 import pytest
 
 from steelnb.fusion import reconstruct
-from steelnb.fusion.bar_fitting import BarFitter
-from steelnb.fusion.candidates import find_bars
-from steelnb.fusion.mapped_scans import MappedScans
-from steelnb.fusion.ridges import Ridges
-from steelnb.fusion.sections import choose, fit, shapes
+from steelnb.fusion.bars import Ridges, find_bars
+from steelnb.fusion.mapped_scans import BarFitter, MappedScans
+from steelnb.fusion.sections import fit, shapes
 from steelnb.fusion.sections.histogram import VIEWS
 from steelnb.metrics.segments import match_members
 from steelnb.settings import StructureSettings
@@ -130,7 +128,7 @@ def seen_plate(rng, turn_rad: float, thickness_m: float, n: int = 600) -> np.nda
 @pytest.mark.parametrize(("turn_rad", "thickness_m"), [(-2.0, 0.0), (0.4, 0.02), (3.0, 0.02)])
 def test_planes_follow_the_front_of_a_plate_whatever_its_thickness(turn_rad, thickness_m):
     cells = seen_plate(np.random.default_rng(3), turn_rad, thickness_m)
-    cost, width, middle, normal = choose.fit_planes(cells)
+    cost, width, middle, normal = fit.fit_planes(cells)
     front = np.array([math.cos(turn_rad), math.sin(turn_rad), -0.02]) / math.hypot(1.0, 0.02)
     assert normal @ front > math.cos(0.005)
     assert front @ middle == pytest.approx(0.03, abs=0.0005)
@@ -143,7 +141,7 @@ def test_points_across_a_line_are_no_plate_that_it_lies_in(noise_m):
     rng = np.random.default_rng(4)
     cells = seen_plate(rng, 0.4, 0.0)
     cells[:, :2], cells[:, 5] = rng.uniform(-0.2, 0.2, (len(cells), 2)), noise_m * rng.standard_normal(len(cells))
-    assert choose.fit_planes(cells)[0] == np.inf
+    assert fit.fit_planes(cells)[0] == np.inf
 
 
 @pytest.mark.parametrize("turn_rad", [1.5, math.pi])

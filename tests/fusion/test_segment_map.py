@@ -9,8 +9,7 @@ from hypothesis import strategies as st
 
 from steelnb.core.types import Segments
 from steelnb.fusion import SegmentMap, associate
-from steelnb.fusion.incremental import structure_of
-from steelnb.fusion.segment_map import GAP_MAX_M, pair_distance
+from steelnb.fusion.segment_map import GAP_MAX_M, pair_distance, structure_of
 from steelnb.settings import FusionSettings
 from tests import naive
 from tests.fusion.made import bars_of, distance_to_lines, random_bars, rigid, turned

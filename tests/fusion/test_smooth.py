@@ -10,7 +10,8 @@ from steelnb import experiment
 from steelnb.core.errors import InputError
 from steelnb.core.types import Segments, Trajectory
 from steelnb.fusion import smooth
-from steelnb.fusion.adjustment import point_factors, problem, solver, uncertainty
+from steelnb.fusion.adjustment import factors, problem, solver
+from steelnb.fusion.adjustment import smooth as smoothing
 from steelnb.fusion.sections.shapes import THICKNESS
 from steelnb.metrics import score_trajectory
 from steelnb.points.ranges import range_sigma_m
@@ -63,7 +64,7 @@ def test_another_frame_gives_the_same_path_and_a_reason_where_covariances_fail(f
     T = np.eye(4)
     T[:3, :3], T[:3, 3] = Rotation.from_rotvec([0, 0, 2.0]).as_matrix(), [30.0, -20.0, 0.0]
     turned = [Trajectory(each.stamp_s, T @ each.T_world_drone) for each in (flight.prior, estimate.corrected)]
-    monkeypatch.setattr(uncertainty, "marginals", fail)
+    monkeypatch.setattr(smoothing, "marginals", fail)
     found = smooth(replace(flight, prior=turned[0]), replace(estimate, prior=turned[0], corrected=turned[1]))
     assert found.unsmoothed == ""
     assert "pose 3" in found.unsure
@@ -98,7 +99,7 @@ def test_a_made_up_flight_comes_back_to_the_truth():
     wrong = replace(bars, segments=segments, turn=bars.turn + 0.02, flange=bars.flange + 0.002)
     state = problem.start(prior, prior, wrong)
     for _ in range(8):
-        state = solver.improve(state, point_factors.linearised(state, observed), prior, stamp_s)
+        state = solver.improve(state, factors.linearised(state, observed), prior, stamp_s)
     before, after = (np.linalg.norm((each - T)[:, :3, 3], axis=1).mean() for each in (prior, state.T_world_sensor))
     assert after < 0.15 * before
     assert np.abs(state.bars.flange - bars.flange).max() < 0.004
@@ -112,7 +113,7 @@ def test_the_thickness_is_found_though_a_section_is_wrong(thickness):
     wrong = replace(bars, turn=np.add(bars.turn, [0, 0, 0, 0, np.pi, 0]), thickness=THICKNESS)
     state = problem.start(T, T, wrong)
     for _ in range(4):
-        state = solver.improve(state, point_factors.linearised(state, observed), T, 0.2 * np.arange(len(T)))
+        state = solver.improve(state, factors.linearised(state, observed), T, 0.2 * np.arange(len(T)))
     assert state.bars.thickness == pytest.approx(thickness, abs=0.006)
 
 
@@ -121,6 +122,6 @@ def test_the_range_noise_is_taken_from_the_residuals(noise_m):
     T, bars, observed = made_up(3, noise_m)
     state = problem.start(T, T, bars)
     for _ in range(3):
-        state = solver.improve(state, point_factors.linearised(state, observed), T, 0.2 * np.arange(len(T)))
+        state = solver.improve(state, factors.linearised(state, observed), T, 0.2 * np.arange(len(T)))
     sigma_m = range_sigma_m(np.linalg.norm(observed.point, axis=1))
     assert state.sigma_ratio == pytest.approx(np.median(noise_m / sigma_m), rel=0.15)

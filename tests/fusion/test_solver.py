@@ -7,8 +7,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from steelnb.core.geometry import UPRIGHT_DOF, moved_poses
-from steelnb.fusion.adjustment import drift_factors, point_factors, problem
-from steelnb.fusion.adjustment.point_factors import FACE_DOF
+from steelnb.fusion.adjustment import factors, problem
+from steelnb.fusion.adjustment.factors import FACE_DOF
 from steelnb.fusion.adjustment.problem import BAR_DOF
 from steelnb.fusion.sections import shapes
 from tests import naive
@@ -36,7 +36,7 @@ def test_equations_are_those_of_derivatives_by_differences(tilt_sigma_rad, tubes
     T = T_world @ T
     bars = replace(bars, segments=bars.segments.transformed(T_world), across=bars.across @ T_world[:3, :3].T)
     state = problem.start(T, T, bars, tilt_sigma_rad)
-    eq = point_factors.linearised(state, observed)
+    eq = factors.linearised(state, observed)
     step, size = 1e-6, 6 if tilt_sigma_rad else UPRIGHT_DOF
     matrix, block = np.zeros((len(T), size, size)), np.zeros((6, FACE_DOF, FACE_DOF))
     for p, (k, b) in enumerate(zip(observed.pair_scan, observed.pair_bar, strict=True)):
@@ -60,7 +60,7 @@ def test_equations_are_those_of_derivatives_by_differences(tilt_sigma_rad, tubes
 
 
 def test_increments_are_the_derivatives_of_their_cost(monkeypatch):
-    monkeypatch.setattr(drift_factors, "FIXED", 1e4)  # as weighty as the increments
+    monkeypatch.setattr(factors, "FIXED", 1e4)  # as weighty as the increments
     # The prior's attitude lies 1° to 3° off, so the cost has slopes in all degrees of freedom.
     rng, n, sigma = np.random.default_rng(5), 4, 0.02
     T, prior = np.tile(np.eye(4), (2, n, 1, 1))
@@ -72,9 +72,9 @@ def test_increments_are_the_derivatives_of_their_cost(monkeypatch):
 
     def vector(step):
         T_moved = moved_poses(T, step.reshape(n, 6))
-        return drift_factors.prior_equations(T_moved, prior, stamp_s, sigma)[2].ravel()
+        return factors.prior_equations(T_moved, prior, stamp_s, sigma)[2].ravel()
 
-    matrix, beside, _ = drift_factors.prior_equations(T, prior, stamp_s, sigma)
+    matrix, beside, _ = factors.prior_equations(T, prior, stamp_s, sigma)
     dense = naive.block_tridiagonal(matrix, beside)
     by_differences = np.array([(vector(1e-6 * e) - vector(-1e-6 * e)) / -2e-6 for e in np.eye(6 * n)]).T
     np.testing.assert_allclose(by_differences, dense, atol=0.06 * np.abs(dense).max())

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from steelnb.core.errors import InputError
 from steelnb.core.geometry import yaw_of
-from steelnb.fusion.adjustment import drift_factors, point_factors, problem, solver, uncertainty
+from steelnb.fusion.adjustment import factors, problem, smooth, solver
 from steelnb.fusion.adjustment.problem import BAR_DOF
 from steelnb.fusion.sections import shapes
 from tests import naive
@@ -24,18 +24,18 @@ def state_of(T, bars, tilt_sigma_rad=0.0) -> problem.Problem:
     return problem.start(T, T, bars, tilt_sigma_rad)
 
 
-def marginals(state, observed, prior, shared_sigma_m=uncertainty.SHARED_SIGMA_M):
+def marginals(state, observed, prior, shared_sigma_m=smooth.SHARED_SIGMA_M):
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(uncertainty, "SHARED_SIGMA_M", shared_sigma_m / state.sigma_ratio**2)
-        return uncertainty.marginals(state, point_factors.linearised(state, observed), prior, STAMP_S)
+        patch.setattr(smooth, "SHARED_SIGMA_M", shared_sigma_m / state.sigma_ratio**2)
+        return smooth.marginals(state, factors.linearised(state, observed), prior, STAMP_S)
 
 
 def dense(state, observed, prior, stamp_s, shared_sigma_m):
     """The inverse of all equations, with the displacement of each pair of a scan and a bar as an unknown."""
-    eq = point_factors.linearised(state, observed)
+    eq = factors.linearised(state, observed)
     K, n, P = len(eq.matrix), len(eq.block), len(observed.pair_bar)
-    chained, beside, _ = drift_factors.prior_equations(state.T_world_sensor, prior, stamp_s, state.tilt_sigma_rad)
-    D = drift_factors.pose_size(state.tilt_sigma_rad)
+    chained, beside, _ = factors.prior_equations(state.T_world_sensor, prior, stamp_s, state.tilt_sigma_rad)
+    D = problem.pose_size(state.tilt_sigma_rad)
     size = D * K + BAR_DOF * n
     matrix = np.zeros((size + 2 * P, size + 2 * P))
     matrix[: D * K, : D * K] = naive.block_tridiagonal(eq.matrix + chained, beside)
@@ -73,14 +73,14 @@ def test_many_runs_scatter_as_they_say():
     for _ in range(30):
         noise = 0.01 * np.maximum(1.0, range_m) * rng.standard_normal(range_m.shape)
         observed = exact._replace(point=(exact.point * (1.0 + noise / range_m)).astype(np.float32))
-        drift = rng.normal(size=(39, 4)) * drift_factors.DRIFT_SIGMA
+        drift = rng.normal(size=(39, 4)) * factors.DRIFT_SIGMA
         prior = T.copy()
         prior[1:, :3, 3] += np.cumsum(drift[:, 1:], axis=0)
         turn = Rotation.from_rotvec(np.outer(np.cumsum(drift[:, 0]), [0, 0, 1])).as_matrix()
         prior[1:, :3, :3] = turn @ T[1:, :3, :3]
         state = problem.start(T, prior, bars)
         for _ in range(4):
-            state = solver.improve(state, point_factors.linearised(state, observed), prior, STAMP_S)
+            state = solver.improve(state, factors.linearised(state, observed), prior, STAMP_S)
         pose = marginals(state, observed, prior, NONE)[0]
         error = np.empty((39, 4))
         error[:, 1:] = (T - state.T_world_sensor)[1:, :3, 3]
@@ -108,7 +108,7 @@ def test_along_the_posts_of_a_wall_a_pose_has_the_sigma_of_the_drift():
 
 
 def test_a_free_direction_is_named(monkeypatch):
-    monkeypatch.setattr(drift_factors, "DRIFT_SIGMA", np.array([0.002, 1e9, 1e9, 1e9]))
+    monkeypatch.setattr(factors, "DRIFT_SIGMA", np.array([0.002, 1e9, 1e9, 1e9]))
     T, bars, observed = wall_of_posts()
     with pytest.raises(InputError, match="pose 1 is singular: nothing holds it, mostly along z"):
         marginals(state_of(T, bars), observed, T)
@@ -119,29 +119,29 @@ def test_the_drone_s_position_has_the_yaw_of_its_sensor_s_arm():
     mount[:3, 3] = [0.5, 0.0, 0.0]
     T = np.tile(np.eye(4), (2, 1, 1))
     pose = np.tile(np.diag([1e-4, 1e-6, 1e-6, 1e-6]), (2, 1, 1))
-    found = uncertainty.pose_covariances(pose, T @ mount, mount)[1]
+    found = smooth.pose_covariances(pose, T @ mount, mount)[1]
     np.testing.assert_allclose(np.diag(found)[:3], [1e-6, 1e-6 + 0.5**2 * 1e-4, 1e-6])
     assert found[1, 5] == pytest.approx(-0.5e-4)
-    assert np.sqrt(found[3, 3]) == uncertainty.ATTITUDE_SIGMA_RAD
+    assert np.sqrt(found[3, 3]) == smooth.ATTITUDE_SIGMA_RAD
 
 
 def test_axes_keep_their_covariance_in_another_frame(monkeypatch):
-    monkeypatch.setattr(uncertainty, "END_SIGMA_M", 0.0)
+    monkeypatch.setattr(smooth, "END_SIGMA_M", 0.0)
     segments = bars_of([[0, 0, 0], [1, 2, 2]])
     frame = shapes.frames(segments.direction)
     cosine, sine = np.cos(0.7), np.sin(0.7)
     across = np.array([[cosine, sine], [-sine, cosine]]) @ frame
     bar = np.zeros((1, 6, 6))
     bar[0, :4, :4] = np.diag([4e-6, 1e-6, 9e-6, 1e-6])
-    found = uncertainty.axis_covariances(bar, segments, across, 1.0)
+    found = smooth.axis_covariances(bar, segments, across, 1.0)
     in_world = across[0].T @ bar[0, :2, :2] @ across[0]
     np.testing.assert_allclose(frame[0].T @ found[0, :2, :2] @ frame[0], in_world, atol=1e-15)
-    assert uncertainty.axis_sigma_m(found, np.zeros(1))[0] == pytest.approx(2e-3)
+    assert smooth.axis_sigma_m(found, np.zeros(1))[0] == pytest.approx(2e-3)
 
 
 def test_ends_of_an_axis_have_their_own_error():
     segments = bars_of([[0, 0, 0], [0, 0, 2.0]])
-    found = uncertainty.axis_covariances(np.zeros((1, 6, 6)), segments, shapes.frames(segments.direction), 1.0)
+    found = smooth.axis_covariances(np.zeros((1, 6, 6)), segments, shapes.frames(segments.direction), 1.0)
     for along_m, sigma_m in ((-1.0, 1.0), (0.0, 0.5**0.5), (1.0, 1.0)):
-        sigma = uncertainty.axis_sigma_m(found, np.array([along_m]))[0]
-        assert sigma == pytest.approx(sigma_m * uncertainty.END_SIGMA_M)
+        sigma = smooth.axis_sigma_m(found, np.array([along_m]))[0]
+        assert sigma == pytest.approx(sigma_m * smooth.END_SIGMA_M)

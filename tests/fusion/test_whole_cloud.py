@@ -4,10 +4,8 @@ import numpy as np
 import pytest
 
 from steelnb.core.types import Segments
-from steelnb.fusion.cloud_bars import CloudBars
-from steelnb.fusion.refit import widths_of
-from steelnb.fusion.whole_cloud import bars_of_cloud
-from steelnb.hough.freedom import freedom_of
+from steelnb.fusion.cloud_bars import CloudBars, bars_of_cloud, widths_of
+from steelnb.hough.near_segments import freedom_of
 from steelnb.metrics.segments import DISTANCE_MAX_M, Match, match_members
 from steelnb.points import voxel_grid
 from tests.lattice import STEEL, TOWER, bare_tree, gussets, lattice, on_ground, rods, scanned, sheet, tree

@@ -2,8 +2,7 @@ import numpy as np
 import pytest
 
 from steelnb.core.errors import InputError
-from steelnb.hough.alternatives import refine
-from steelnb.hough.alternatives.methods import FINDERS, find_bars_by
+from steelnb.hough.alternatives import FINDERS, find_bars_by, refine
 from tests.hough.made import ends_off_m, strip
 
 BARS = np.array([([0, 0, 0], [0, 0, 2]), ([1, 0, 0.2], [1.5, 1, 1.4]), ([-1, 0.5, 0], [-1, 1.9, 0.3])], dtype=float)

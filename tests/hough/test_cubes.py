@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numba import config
 
-from steelnb.hough.whole_structure.cubes import Cubes, Line, sort_into_cubes, walk
+from steelnb.hough.near_segments import Cubes, Line, sort_into_cubes, walk
 
 JIT = not config.DISABLE_JIT
 AHEAD = np.array([1.0, 2.0, -2.0]) / 3

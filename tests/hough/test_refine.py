@@ -4,9 +4,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from steelnb.core.types import Segments
+from steelnb.hough.alternatives import bars_of_groups, in_passes, refine
 from steelnb.hough.alternatives import refine as module
-from steelnb.hough.alternatives.refine import bars_of_groups, in_passes, refine
-from steelnb.hough.freedom import nearest_bar
+from steelnb.hough.near_segments import nearest_bar
 from tests.fusion.made import bars_of
 from tests.hough.made import strip
 

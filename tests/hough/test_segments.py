@@ -6,9 +6,9 @@ from scipy.spatial.transform import Rotation
 
 from steelnb.core.errors import InputError
 from steelnb.hough import cut_and_sort, detect_lines, detect_segments
-from steelnb.hough.freedom import FREE_MIN
 from steelnb.hough.lines import default_dx
-from steelnb.hough.segments_kernels import merge
+from steelnb.hough.near_segments import FREE_MIN
+from steelnb.hough.segments import merge
 from tests import naive
 from tests.hough.made import ends_off_m, strip
 

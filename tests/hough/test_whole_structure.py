@@ -4,7 +4,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from steelnb.core.types import Segments
-from steelnb.hough.whole_structure.search import segment_structure, within
+from steelnb.hough.near_segments import within
+from steelnb.hough.whole_structure import segment_structure
 from steelnb.points import voxel_grid
 from tests.hough.made import ends_off_m
 

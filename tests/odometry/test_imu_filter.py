@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from steelnb.core.geometry import exp_about, information_at, pose_difference
 from steelnb.core.types import Imu
-from steelnb.fusion.adjustment.drift_factors import DRIFT_SIGMA
+from steelnb.fusion.adjustment.factors import DRIFT_SIGMA
 from steelnb.fusion.adjustment.imu_factors import BIAS, POSE
 from steelnb.metrics import score_trajectory
 from steelnb.odometry import correct, faces, make_odometry, run

@@ -6,7 +6,7 @@ from scipy.spatial.transform import Rotation
 
 from steelnb import fusion
 from steelnb.core.geometry import tilt_of
-from steelnb.fusion.adjustment.drift_factors import TILT_S
+from steelnb.fusion.adjustment.factors import TILT_S
 from steelnb.metrics import score_trajectory
 from steelnb.odometry import correct, faces, methods
 from steelnb.odometry.prediction import DriftPrediction, RegisteredPose

@@ -7,8 +7,8 @@ from steelnb import experiment
 from steelnb.core import rng
 from steelnb.core.errors import InputError
 from steelnb.core.types import Flight, RangeScans, Scan, Trajectory
-from steelnb.fusion.adjustment.uncertainty import with_range_sigmas
-from steelnb.points.calibration import calibrated
+from steelnb.fusion.adjustment.smooth import with_range_sigmas
+from steelnb.points.ranges import calibrated
 from steelnb.settings import ExperimentSettings, StructureSettings, TofSettings
 from steelnb.settings.world import fitted_calibration
 from steelnb.simulation.tof import DISTANCES_M, measure_calibration

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from steelnb.points import VoxelMap
-from steelnb.points.neighbours import advance, columns_of, gather
-from steelnb.points.voxel_kernels import offsets_within
+from steelnb.points.kdtree import advance, columns_of, gather
+from steelnb.points.voxel_map import offsets_within
 
 
 @pytest.mark.kernels

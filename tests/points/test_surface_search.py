@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from steelnb.fusion.whole_cloud import bars_of_cloud
-from steelnb.points.scan_lines import line_directions, share_of_lattice, share_of_rows
+from steelnb.fusion.cloud_bars import bars_of_cloud
+from steelnb.points.surfaces import line_directions, share_of_lattice, share_of_rows
 from tests.lattice import lattice, scanned
 from tests.scanner import seen
 

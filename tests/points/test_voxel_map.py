@@ -4,8 +4,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from steelnb.core.errors import InputError
-from steelnb.points import VoxelMap, voxel_grid
-from steelnb.points import voxel_kernels as kernels
+from steelnb.points import VoxelMap, voxel_grid, voxel_map
 from steelnb.points.voxel_map import SearchState
 from tests import naive
 
@@ -157,8 +156,8 @@ def test_invalid_points_and_weights_are_refused_and_leave_the_map_unchanged(poin
 
 @pytest.mark.parametrize("step", [(1, 0, 0), (0, 0, 1), (512, 0, 0), (0, 512, 0), (1, 1, 1)])
 def test_voxels_in_a_row_have_different_buckets(step):
-    keys = [kernels.pack(*(k * np.array(step) - 900)) for k in range(2000)]
-    buckets = {kernels.bucket_of(key, (1 << 12) - 1) for key in keys}
+    keys = [voxel_map.pack(*(k * np.array(step) - 900)) for k in range(2000)]
+    buckets = {voxel_map.bucket_of(key, (1 << 12) - 1) for key in keys}
     assert len(buckets) > 0.9 * 4096 * (1 - np.exp(-2000 / 4096))  # at most a tenth fewer than at random
 
 

@@ -11,7 +11,8 @@ import pytest
 from steelnb import cli
 from steelnb.core.errors import InputError
 from steelnb.hough.lines import default_dx
-from steelnb.hough.whole_structure.search import segment_structure, within
+from steelnb.hough.near_segments import within
+from steelnb.hough.whole_structure import segment_structure
 from steelnb.metrics import score_segments
 from steelnb.points import voxel_grid
 from steelnb.recording.segment_cloud import SegmentReport, segment_file

@@ -5,7 +5,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from steelnb.registration import FREE
-from steelnb.registration.degeneracy import unobserved_shifts, without_shifts
+from steelnb.registration.solver import unobserved_shifts, without_shifts
 
 SHARE = 0.05
 

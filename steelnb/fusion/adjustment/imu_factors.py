@@ -18,7 +18,6 @@ from steelnb.core.errors import InputError
 from steelnb.core.geometry import POSE_DOF, moved_poses
 from steelnb.core.kernels import njit
 from steelnb.core.types import GRAVITY, Array, Imu, Trajectory
-from steelnb.fusion.adjustment.drift_factors import ChainEquations, chain_equations
 from steelnb.settings import ImuSettings
 
 STATE_DOF = 15
@@ -41,6 +40,32 @@ STEP = 1e-5
 """Step of the numerical Jacobians."""
 RATE_MIN, UNIT_FACTOR = 0.5, 10.0
 """Angular rates above the first, and above the prior's times the second, are not in rad/s."""
+
+
+class ChainEquations(NamedTuple):
+    """Normal equations of a chain of K states with D degrees of freedom: information ``matrix (K, D, D)`` and
+    ``vector (K, D)`` of each state, and the block ``beside (K − 1, D, D)`` between each state and the next."""
+
+    matrix: Array
+    beside: Array
+    vector: Array
+
+
+def chain_equations(
+    state_error: Array, state_weight: Array, error: Array, weight: Array, before: Array, after: Array
+) -> ChainEquations:
+    """Normal equations of factors on single states and between neighbours.
+
+    Each state has errors ``(K, D)`` with information ``(K, D)``. Between each state and the next, there are errors
+    ``(K − 1, D)`` with information ``weight (K − 1, D, D)``; ``before`` and ``after (K − 1, D, D)`` are their Jacobians
+    with respect to the earlier and the later state.
+    """
+    matrix, vector = state_weight[:, :, None] * np.eye(state_error.shape[1]), -state_weight * state_error
+    earlier, later = before.transpose(0, 2, 1) @ weight, after.transpose(0, 2, 1) @ weight
+    for at, weighted, jacobian in ((slice(None, -1), earlier, before), (slice(1, None), later, after)):
+        matrix[at] += weighted @ jacobian
+        vector[at] -= (weighted @ error[:, :, None])[:, :, 0]
+    return ChainEquations(matrix, earlier @ after, vector)
 
 
 class Integrated(NamedTuple):

@@ -1,7 +1,7 @@
 """The least-squares problem of an adjustment: one maximum a posteriori estimate of all poses and all bars of a flight,
 including their sections (Triggs et al., "Bundle adjustment: a modern synthesis", 1999).
 
-The factors (`point_factors`, `drift_factors`, `imu_factors`):
+The factors (`factors`, `imu_factors`):
 
 - the distance of each point to the front face of its bar along the line of sight, with the range noise as its standard
   deviation and robust weights;
@@ -13,7 +13,7 @@ The unknowns are position and yaw of each pose, and position, direction, rotatio
 are unknowns, too, if those of the prior have a standard deviation; with an IMU, so are velocities and biases.
 
 If the thickness is wrong by 1 mm, a horizontal bar seems to move by as much between a view from below and one from
-above, and an adjustment moves the poses instead. So the thickness is estimated, too (`point_factors.common_thickness`).
+above, and an adjustment moves the poses instead. So the thickness is estimated, too (`factors.common_thickness`).
 `adjustment.solver` takes the steps.
 """
 
@@ -23,9 +23,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from steelnb.core.geometry import moved_poses, yaw_of
+from steelnb.core.geometry import POSE_DOF, UPRIGHT_DOF, moved_poses, yaw_of
 from steelnb.core.types import Array, IntArray, Segments
-from steelnb.fusion.adjustment.drift_factors import pose_size
 from steelnb.fusion.adjustment.imu_factors import Inertial
 from steelnb.fusion.sections import shapes
 
@@ -36,6 +35,11 @@ BAR_SIGMA = np.array([0.5, 0.5, 0.5, 0.5, 0.1, 0.003])
 determines, such as the position of a single face along itself. Those of rotation and flange are about the values fitted
 to outlines, since outlines are not factors here."""
 FLANGE_MIN_M, FLANGE_MAX_M = 0.01, 0.4
+
+
+def pose_size(tilt_sigma_rad: float) -> int:
+    """The degrees of freedom of a pose: six if the prior's roll and pitch have a standard deviation, else four."""
+    return POSE_DOF if tilt_sigma_rad > 0 else UPRIGHT_DOF
 
 
 @dataclass(frozen=True)

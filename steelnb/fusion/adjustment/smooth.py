@@ -1,23 +1,206 @@
-"""Smoothing of a whole flight: find bars at the corrected poses, adjust poses and bars together, and repeat.
+"""The adjustment of a flight: find and fit its bars, then take the steps of `adjustment.solver` in stages.
+
+Covariances of the poses and bars of a smoothed flight, from the equations of `adjustment.solver`.
+
+Only the diagonal blocks of the inverse are needed. Those of the chain of poses follow from its factor. The bars add
+A⁻¹B S⁻¹ (A⁻¹B)ᵀ with their Schur complement S. This is exact.
+
+The points of one bar in one scan have correlated errors: the fitted section is inexact, mixed pixels lie at edges, and
+only the near side is visible. So each scan observes a bar displaced across by an unknown vector, which is marginalised.
+The information of a bar in a scan thus saturates with the number of pixels. Drift enters by the prior's increments.
+
+Smoothing of a whole flight: find bars at the corrected poses, adjust poses and bars together, and repeat.
 
 The second round starts from better poses, so it finds more bars and fits their sections more accurately.
 """
 
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
+from scipy.linalg import cho_factor, cho_solve
 
-from steelnb.core.arguments import checks_arguments
 from steelnb.core.checks import check_same_stamps, checked_number
 from steelnb.core.errors import InputError
 from steelnb.core.estimates import Estimate
-from steelnb.core.types import Flight, Trajectory
-from steelnb.fusion.adjustment import uncertainty
-from steelnb.fusion.adjustment.adjust import Stages, adjust
-from steelnb.fusion.adjustment.drift_factors import TILT_SIGMA_RAD
+from steelnb.core.geometry import UPRIGHT_DOF
+from steelnb.core.types import Array, Flight, IntArray, Segments, Trajectory
+from steelnb.fusion.adjustment import problem
+from steelnb.fusion.adjustment.factors import TILT_SIGMA_RAD, PointEquations, linearised, summed
 from steelnb.fusion.adjustment.imu_factors import Inertial, check_imu
-from steelnb.fusion.mapped_scans import MappedScans
+from steelnb.fusion.adjustment.problem import BAR_DOF, Bars, Problem, pose_size
+from steelnb.fusion.adjustment.solver import Chain, improve, normal_equations
+from steelnb.fusion.bars import TUBE_M
+from steelnb.fusion.mapped_scans import BarFitter, MappedScans, median_range_m
+from steelnb.fusion.point_to_bar import BarVoxels, Observations
+from steelnb.fusion.sections import shapes
+from steelnb.fusion.sections.shapes import frames
 from steelnb.settings import ImuSettings, StructureSettings
+
+Stages = tuple[tuple[int, int], ...]
+"""Stages ``(n, steps)`` of an adjustment: number of steps with one in n pixels."""
+FACE_SIGMAS, FACE_MAX_TUBES, RATIO_MIN = 2.5, 1.3, 0.8
+"""Maximum distance of a point from the front face of its bar in an adjustment, in standard deviations of the range
+noise and in tube radii; and minimum noise ratio for the first, below which large residuals are due to poses and
+sections. With ``starling2``, 2 to 3 standard deviations give similar errors. With the report's sensor, a larger bound
+leaves too few points of the first scan, which fixes the world frame."""
+
+
+def adjust(
+    scans: MappedScans, prior: Array, stamp_s: Array, stages: Stages, fits: int, every: int = 5, bars_min: int = 1,
+    tilt_sigma_rad: float = 0.0, inertial: Inertial | None = None, before: Problem | None = None,
+) -> tuple[Problem, PointEquations]:  # fmt: skip
+    """Adjust the poses of scans and the bars of `BarFitter.find_and_fit` together; returns also the equations of the
+    last step.
+
+    ``prior`` and ``stamp_s`` as for `solver.improve`, ``tilt_sigma_rad`` and ``inertial`` as for `Problem`. ``before``:
+    an earlier adjustment of the same flight, whose range noise and thickness are the first estimates. All steps of a
+    stage use the same points. Without an earlier adjustment, these include points far from the front faces.
+
+    Raises `InputError` if fewer than ``bars_min`` bars have a known section.
+    """
+    thickness = before.bars.thickness if before else scans.settings.thickness or shapes.THICKNESS
+    bars = BarFitter(scans, thickness).find_and_fit(fits, every).bars
+    if bars.has_section.sum() < bars_min:
+        raise InputError("too few bars whose sections are known")
+    state = problem.start(scans.T_world_sensor, prior, bars, tilt_sigma_rad, inertial)
+    voxels = scans.around(bars.segments)
+    for pixels, steps in stages:
+        placed = replace(scans, T_world_sensor=state.T_world_sensor)
+        if before:
+            chosen = _points_near_faces(placed, voxels, pixels, state.bars, before.sigma_ratio)
+        else:
+            chosen = placed.bar_points(voxels, pixels=pixels)
+        observations = Observations.gathered(chosen)
+        for _ in range(steps):
+            equations = linearised(state, observations)
+            state = improve(state, equations, prior, stamp_s)
+    return state, equations
+
+
+def _points_near_faces(
+    scans: MappedScans, voxels: BarVoxels, pixels: int, bars: Bars, sigma_ratio: float
+) -> Iterator[tuple[int, Array, IntArray]]:
+    """The `MappedScans.bar_points` within `FACE_SIGMAS` of the front faces of their bars (`BarVoxels.on_face`);
+    ``sigma_ratio``: range noise as a multiple of that in `points.ranges`."""
+    sigmas = FACE_SIGMAS * max(sigma_ratio, RATIO_MIN)
+    for k, points, bar in scans.bar_points(voxels, pixels=pixels):
+        on_face = voxels.on_face(points, bar, scans.T_world_sensor[k], bars, sigmas, FACE_MAX_TUBES * TUBE_M)
+        yield k, points[on_face], bar[on_face]
+
+
+SHARED_SIGMA_M = 0.001
+"""Standard deviation, per axis, of the displacement that all points of a bar in a scan share, at the range noise of
+`points.ranges`. It grows with the square of that noise, as two sensors show."""
+END_SIGMA_M = 0.006
+"""Standard deviation, per axis, of the model error at either end of a bar, common to all scans: its section type may
+not be modelled, or fitted to only part of it. It grows with the range noise. Both were calibrated on seeds 11 to 15."""
+ATTITUDE_SIGMA_RAD = 0.01
+"""Standard deviation of the prior's roll and pitch if they are fixed: half a degree, as for attitude filters on
+small drones. It is not propagated to the position."""
+FREE_SIGMA = 10.0
+"""A larger standard deviation, metres or radians, means that no factor constrains that direction."""
+AXES = ("roll", "pitch", "yaw", "x", "y", "z")
+HOLD = 1e-6
+"""Information added to keep the matrix of free poses positive definite: a standard deviation of 1 km."""
+
+
+def marginals(problem: Problem, equations: PointEquations, prior: Array, stamp_s: Array) -> tuple[Array, Array]:
+    """The marginal covariances of the state of an adjustment; the arguments are those of `solver.improve`.
+
+    Returns those of the steps of the sensor's poses ``(K, D, D)`` (`factors`), zero for the fixed first one; and
+    of the bars ``(B, 6, 6)``: position of the middle (2) and direction (2) in the frame ``across``, rotation and
+    flange. What no point determines has the standard deviation `problem.BAR_SIGMA`; for directions, 0.5 m per metre.
+
+    Raises `InputError` with the free direction if a pose is not constrained.
+    """
+    equations = _with_displacements(equations, SHARED_SIGMA_M * problem.sigma_ratio**2)
+    n, size = len(equations.block), pose_size(problem.tilt_sigma_rad)
+    (matrix, beside, _), between, bars, _ = normal_equations(problem, equations, prior, stamp_s)
+    matrix = matrix + HOLD * np.eye(matrix.shape[1])
+    chain = Chain.factored(matrix, beside)
+    forward = chain.forward(between)
+    flat = forward.reshape(-1, forward.shape[2])
+    inverse = cho_solve(cho_factor(bars - flat.T @ flat), np.eye(flat.shape[1]))
+    by_bars = chain.backward(forward)[:, :size]
+    pose = chain.inverse_blocks()[:, :size, :size] + (by_bars @ inverse) @ by_bars.transpose(0, 2, 1)
+    pose[0] = 0.0
+    value, vector = np.linalg.eigh(pose)
+    is_free = value[:, -1] > FREE_SIGMA**2
+    if is_free.any():
+        k = int(np.argmax(is_free))
+        axis = AXES[np.argmax(np.abs(vector[k, :, -1])) - size]
+        raise InputError(f"covariance of pose {k} is singular: nothing holds it, mostly along {axis}")
+    return pose, inverse.reshape(n, BAR_DOF, n, BAR_DOF)[range(n), :, range(n)]
+
+
+def _with_displacements(equations: PointEquations, sigma_m: float) -> PointEquations:
+    """The equations after marginalising a displacement across the axis for each bar in each scan."""
+    cross, shares, scan = equations.cross, equations.shares, equations.pair_scan
+    displacement = np.linalg.inv(shares[:, :2, :2] + np.eye(2) / sigma_m**2)
+    gain = cross[:, :, :2] @ displacement
+    of_poses, of_bars = gain @ cross[:, :, :2].transpose(0, 2, 1), shares[:, :, :2] @ displacement @ shares[:, :2]
+    return equations._replace(
+        matrix=equations.matrix - summed(of_poses, scan, len(equations.matrix)),
+        block=equations.block - summed(of_bars, equations.pair_bar, len(equations.block)),
+        cross=cross - gain @ shares[:, :2],
+        shares=shares - of_bars,
+    )
+
+
+def pose_covariances(pose: Array, T_world_sensor: Array, T_drone_sensor: Array) -> Array:
+    """Covariances ``(K, 6, 6)`` of the drone's poses, metres and radians, from those of the sensor's ``(K, D, D)``.
+
+    They refer to a perturbation δ in the world frame, in the order x, y, z, roll, pitch, yaw: the true pose has the
+    position t + δ[:3] and the rotation exp(δ[3:]) R. The first pose defines the world, so its block is zero.
+    """
+    arm = (T_world_sensor @ np.linalg.inv(T_drone_sensor))[:, :3, 3] - T_world_sensor[:, :3, 3]
+    size = pose.shape[1]
+    by_step = np.tile(np.eye(size), (len(pose), 1, 1))
+    for column, axis in enumerate(range(6 - size, 3)):
+        by_step[:, -3:, column] = np.cross(np.eye(3)[axis], arm)
+    result, order = np.zeros((len(pose), 6, 6)), np.array([3, 4, 5, 0, 1, 2])[-size:]
+    result[:, order[:, None], order] = by_step @ pose @ by_step.transpose(0, 2, 1)
+    if size == UPRIGHT_DOF:
+        result[1:, [3, 4], [3, 4]] = ATTITUDE_SIGMA_RAD**2
+    return result
+
+
+def with_range_sigmas(covariance: Array, flight: Flight, T_world_sensor: Array, settings: StructureSettings) -> Array:
+    """Covariances ``(K, 6, 6)`` of an `Estimate` with the errors that a calibration of the ranges leaves, the
+    ``range_sigmas`` of the flight. An error of scale stretches the path from the first pose by its share, an error of
+    offset by its share of the usual range."""
+    scale, offset_m = flight.range_sigmas
+    range_m = median_range_m(flight.scans, T_world_sensor, settings) if offset_m else np.nan
+    share = scale**2 + (offset_m / range_m) ** 2 if np.isfinite(range_m) else scale**2
+    shift, result = T_world_sensor[:, :3, 3] - T_world_sensor[0, :3, 3], covariance.copy()
+    result[:, :3, :3] += share * shift[:, :, None] * shift[:, None, :]
+    return result
+
+
+def axis_covariances(bar: Array, segments: Segments, across: Array, sigma_ratio: float) -> Array:
+    """Covariances ``(B, 4, 4)`` of the axes of bars, from their marginals ``(B, 6, 6)`` in the frames ``across``.
+
+    They are in the frame `sections.frames` of each segment's direction: position of its middle across (2), metres, and
+    direction (2), metres across per metre along. They include `END_SIGMA_M` times ``sigma_ratio``, the range
+    noise as a multiple of that in `points.ranges`.
+    """
+    rotation = frames(segments.direction) @ across.transpose(0, 2, 1)
+    both = np.zeros((len(bar), 4, 4))
+    both[:, :2, :2] = both[:, 2:, 2:] = rotation
+    result = both @ bar[:, :4, :4] @ both.transpose(0, 2, 1)
+    end_m2 = (END_SIGMA_M * sigma_ratio) ** 2
+    result[:, [0, 1], [0, 1]] += 0.5 * end_m2
+    result[:, [2, 3], [2, 3]] += 2.0 * end_m2 / np.maximum(segments.length, 1e-9)[:, None] ** 2
+    return np.asarray(result)
+
+
+def axis_sigma_m(covariance: Array, along_m: Array) -> Array:
+    """Standard deviation ``(B,)``, metres, of axes in the direction across in which it is largest, at the distances
+    ``along_m (B,)`` from their middles, given their covariances ``(B, 4, 4)``."""
+    at = np.concatenate([np.tile(np.eye(2), (len(along_m), 1, 1)), along_m[:, None, None] * np.eye(2)], axis=2)
+    return np.sqrt(np.linalg.eigvalsh(at @ covariance @ at.transpose(0, 2, 1))[:, -1])
+
 
 ROUNDS: tuple[tuple[int, Stages], ...] = ((1, ((8, 2),)), (2, ((8, 2), (1, 2))))
 """Number of times that sections are fitted, and stages, for each round. With half of the pixels in the last stage,
@@ -26,7 +209,6 @@ BARS_MIN = 3
 """Minimum number of bars with a section."""
 
 
-@checks_arguments
 def smooth(
     flight: Flight,
     estimate: Estimate,
@@ -80,12 +262,10 @@ def smooth(
     bars = state.bars.take(state.bars.is_bar)
     pose_covariance, axis_covariance, unsure = None, None, ""
     try:
-        pose, bar = uncertainty.marginals(state, equations, prior, stamp_s)
-        pose_covariance = uncertainty.pose_covariances(pose, T, mount)
-        pose_covariance = uncertainty.with_range_sigmas(pose_covariance, flight, T, settings)
-        axis_covariance = uncertainty.axis_covariances(
-            bar[state.bars.is_bar], bars.segments, bars.across, state.sigma_ratio
-        )
+        pose, bar = marginals(state, equations, prior, stamp_s)
+        pose_covariance = pose_covariances(pose, T, mount)
+        pose_covariance = with_range_sigmas(pose_covariance, flight, T, settings)
+        axis_covariance = axis_covariances(bar[state.bars.is_bar], bars.segments, bars.across, state.sigma_ratio)
     except InputError as fault:
         unsure = str(fault)
     return replace(

@@ -11,9 +11,8 @@ from scipy.linalg import block_diag, cho_factor, cho_solve
 
 from steelnb.core.kernels import njit
 from steelnb.core.types import Array
-from steelnb.fusion.adjustment.drift_factors import ChainEquations, prior_equations
-from steelnb.fusion.adjustment.imu_factors import STATE_DOF
-from steelnb.fusion.adjustment.point_factors import PointEquations, common_thickness, noise_ratio
+from steelnb.fusion.adjustment.factors import PointEquations, common_thickness, noise_ratio, prior_equations
+from steelnb.fusion.adjustment.imu_factors import STATE_DOF, ChainEquations
 from steelnb.fusion.adjustment.problem import BAR_DOF, BAR_SIGMA, Problem
 
 TINY = 1e-12
@@ -24,7 +23,7 @@ arithmetic with denormal numbers is slow."""
 def improve(problem: Problem, equations: PointEquations, prior: Array, stamp_s: Array) -> Problem:
     """One Gauss-Newton step of all poses and bars.
 
-    ``equations``: those of this state (`point_factors.linearised`); ``prior (K, 4, 4)``: the drifting poses of the
+    ``equations``: those of this state (`factors.linearised`); ``prior (K, 4, 4)``: the drifting poses of the
     sensor at ``stamp_s (K,)``. The range noise and the thickness are updated from medians before the step.
     """
     (matrix, beside, vector), between, bars, rhs = normal_equations(problem, equations, prior, stamp_s)

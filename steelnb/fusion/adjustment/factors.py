@@ -1,4 +1,11 @@
-"""Factors of the points of an adjustment (`adjustment.problem`), as normal equations.
+"""Poses as variables of an adjustment (`fusion.adjustment.problem`), and the factors of the drifting prior on them.
+
+The step of a pose is that of `core.geometry`, in the world frame, with six numbers or the last four.
+
+The prior drifts in position and yaw as a random walk. Its roll and pitch are exact by default. With a standard
+deviation ``tilt_sigma_rad``, their errors are a first-order Gauss-Markov process, like those of an attitude filter.
+
+Factors of the points of an adjustment (`adjustment.problem`), as normal equations.
 
 The residual of a point is its distance to the front face of its bar (`sections.shapes`). It depends on the pose of its
 scan, on position, direction, rotation and flange of the bar, and on the thickness that all bars share.
@@ -9,15 +16,70 @@ from typing import NamedTuple
 
 import numpy as np
 
+from steelnb.core.geometry import UPRIGHT_DOF, pose_step, tilt_of, yaw_of
 from steelnb.core.kernels import njit
 from steelnb.core.robust import weighted_geman_mcclure
 from steelnb.core.types import Array, IntArray
-from steelnb.fusion.adjustment.drift_factors import pose_size
-from steelnb.fusion.adjustment.problem import BAR_DOF, BAR_SIGMA, Problem
+from steelnb.fusion.adjustment.imu_factors import ChainEquations, chain_equations
+from steelnb.fusion.adjustment.problem import BAR_DOF, BAR_SIGMA, Problem, pose_size
 from steelnb.fusion.point_to_bar import Observations
 from steelnb.fusion.sections import shapes
 from steelnb.fusion.sections.shapes import THICKNESS, THICKNESS_SIGMA, THICKNESS_SPREAD
 from steelnb.settings.stages import THICKNESS_MAX, THICKNESS_MIN
+
+DRIFT_SIGMA = np.array([0.002, 0.01, 0.01, 0.01])
+"""Standard deviation of the drift of yaw, x, y and z in `DRIFT_PERIOD_S`, radians and metres."""
+DRIFT_PERIOD_S = 0.2
+TILT_S = 10.0
+"""Correlation time of the errors of the prior's roll and pitch: that of attitude filters is seconds to a minute."""
+TILT_SIGMA_RAD = 0.0175
+"""Default standard deviation (1°) of the prior's roll and pitch if there is an IMU."""
+FIXED = 1e12
+"""Information that fixes a pose."""
+
+
+def drift_variance(passed_s: Array | float) -> Array:
+    """Variance ``(…, 4)`` of the drift of yaw, x, y and z in the times ``passed_s (…)``, proportional to them."""
+    return np.asarray(passed_s)[..., None] / DRIFT_PERIOD_S * DRIFT_SIGMA**2
+
+
+def tilt_decay(passed_s: Array | float) -> Array:
+    """The factor ``(…)`` by which errors of the prior's roll and pitch decay in the times ``passed_s (…)``."""
+    return np.exp(-np.asarray(passed_s) / TILT_S)
+
+
+def prior_equations(
+    T: Array, prior: Array, stamp_s: Array, tilt_sigma_rad: float = 0.0, upright: bool = True
+) -> ChainEquations:
+    """Normal equations of the prior's factors on the poses ``T (K, 4, 4)`` at ``stamp_s (K,)``.
+
+    The increments of position and yaw are those of the ``prior (K, 4, 4)``, in the frame of the earlier pose. Errors of
+    roll and pitch, if free, follow their Gauss-Markov process. The first pose is fixed to the prior's. Its roll and
+    pitch are fixed only if the prior is ``upright`` there; otherwise they have the sigma ``tilt_sigma_rad``.
+    """
+    size = pose_size(tilt_sigma_rad)
+    tilt, yaw, shift = slice(0, size - UPRIGHT_DOF), size - UPRIGHT_DOF, slice(size - 3, size)
+    first_error, first_weight = np.zeros((2, len(T), size))
+    first_error[0], first_weight[0] = pose_step(prior[0], T[0], size), FIXED
+    if not upright:
+        first_weight[0, tilt] = tilt_sigma_rad**-2.0
+    gap_s = np.maximum(np.diff(stamp_s), 1e-6)
+    error, weight = np.zeros((2, len(gap_s), size))
+    turned = T[:-1, :3, :3] @ prior[:-1, :3, :3].transpose(0, 2, 1)
+    expected = (turned @ np.diff(prior[:, :3, 3], axis=0)[:, :, None])[:, :, 0]
+    rotation = T[1:, :3, :3] @ (turned @ prior[1:, :3, :3]).transpose(0, 2, 1)
+    error[:, yaw], error[:, shift] = yaw_of(rotation), np.diff(T[:, :3, 3], axis=0) - expected
+    weight[:, yaw:] = 1.0 / drift_variance(gap_s)
+    after = np.tile(np.eye(size), (len(gap_s), 1, 1))
+    before = -after
+    before[:, yaw + 1, yaw], before[:, yaw + 2, yaw] = expected[:, 1], -expected[:, 0]
+    if tilt_sigma_rad:
+        off, decay = tilt_of(prior[:, :3, :3] @ T[:, :3, :3].transpose(0, 2, 1)), tilt_decay(gap_s)[:, None]
+        error[:, tilt] = decay * off[:-1] - off[1:]
+        weight[:, tilt] = tilt_sigma_rad**-2.0 / (1.0 - decay**2)
+        before[:, tilt, tilt] = -decay[:, :, None] * np.eye(2)
+    return chain_equations(first_error, first_weight, error, weight[:, :, None] * np.eye(size), before, after)
+
 
 ROBUST_SIGMAS, ROBUST_M = 2.5, 0.02
 """A residual beyond their sum is down-weighted (Geman-McClure)."""

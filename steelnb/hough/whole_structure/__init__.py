@@ -1,1 +1,0 @@
-"""The iterative transform on the cloud of a whole structure, in blocks."""
