@@ -2,7 +2,8 @@ import numpy as np
 import pytest
 
 from steelnb.core.errors import InputError
-from steelnb.hough.alternatives import FINDERS, find_bars_by, refine
+from steelnb.hough import alternatives
+from steelnb.hough.alternatives import FINDERS, find_bars_by
 from tests.hough.made import ends_off_m, strip
 
 BARS = np.array([([0, 0, 0], [0, 0, 2]), ([1, 0, 0.2], [1.5, 1, 1.4]), ([-1, 0.5, 0], [-1, 1.9, 0.3])], dtype=float)
@@ -74,5 +75,5 @@ def test_gmm_selects_the_number_of_components():
 def test_short_bars_and_bars_of_few_points_are_dropped(method, monkeypatch):
     options = {"dx": 0.05, **OPTIONS.get(method, {})}
     assert len(find_bars_by(method, cloud(), points_min=400, **options)) == 0
-    monkeypatch.setattr(refine, "LENGTH_MIN_M", 1.45)
+    monkeypatch.setattr(alternatives, "LENGTH_MIN_M", 1.45)
     assert len(find_bars_by(method, cloud(), **options)) == 2

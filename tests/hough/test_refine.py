@@ -4,8 +4,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from steelnb.core.types import Segments
+from steelnb.hough import alternatives
 from steelnb.hough.alternatives import bars_of_groups, in_passes, refine
-from steelnb.hough.alternatives import refine as module
 from steelnb.hough.near_segments import nearest_bar
 from tests.fusion.made import bars_of
 from tests.hough.made import strip
@@ -33,7 +33,7 @@ def test_groups_are_cut_at_gaps_and_merged(monkeypatch):
     found = bars_of_groups(points, label)
     assert sorted(found.count) == [600, 1200]
     assert len(bars_of_groups(points, np.full(1800, -1))) == 0
-    monkeypatch.setattr(module, "MERGE_DISTANCE_M", 0.0)
+    monkeypatch.setattr(alternatives, "MERGE_DISTANCE_M", 0.0)
     assert len(bars_of_groups(points, label)) == 3
 
 
@@ -52,12 +52,12 @@ def test_refine_merges_the_parts_of_a_bar(monkeypatch):
     found = refine(points, parts, 0.05)
     assert len(found) == 1
     np.testing.assert_allclose(found.length, 2, atol=0.03)
-    monkeypatch.setattr(module, "MERGE_DISTANCE_M", 0.0)
+    monkeypatch.setattr(alternatives, "MERGE_DISTANCE_M", 0.0)
     assert len(refine(points, parts, 0.05)) == 2
 
 
 def test_a_chord_across_a_bar_is_dropped(monkeypatch):
-    monkeypatch.setattr(module, "MERGE_DISTANCE_M", 0.0)
+    monkeypatch.setattr(alternatives, "MERGE_DISTANCE_M", 0.0)
     points = strip([0, 0, 0], [2, 0, 0], 3000, wide_m=0.08)
     found = refine(points, bars_of(([0, 0, 0], [2, 0, 0]), ([0.7, -0.09, 0], [1.3, 0.09, 0])), 0.05)
     assert len(found) == 1
