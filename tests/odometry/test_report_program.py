@@ -12,7 +12,7 @@ from steelnb.core.types import Scan, Segments
 from steelnb.odometry import ReportCloudOdometry, ReportSegmentOdometry, make_odometry, report_segments, shared_segments
 from steelnb.points.covariances import neighbour_covariances, regularised
 from steelnb.points.kdtree import build_kdtree
-from steelnb.registration import Aligned, Target, gicp_as_pcl, icp_as_pcl, pcl_bfgs
+from steelnb.registration import Aligned, Target, gicp_as_pcl, icp_as_pcl, pcl
 from steelnb.settings import OdometrySettings
 from tests import naive
 
@@ -170,19 +170,19 @@ def paired():
     rng = np.random.default_rng(4)
     source, covariance = corner(400, seed=3), regularised(neighbour_covariances(corner(400, seed=3)))
     moved = source @ pose(turn=(0.02, -0.01, 0.03))[:3, :3].T + [0.03, 0.01, -0.02] + rng.normal(0, 0.005, source.shape)
-    return source.astype(np.float32), moved.astype(np.float32), pcl_bfgs.pair_metrics(covariance, covariance, np.eye(3))
+    return source.astype(np.float32), moved.astype(np.float32), pcl.pair_metrics(covariance, covariance, np.eye(3))
 
 
 @pytest.mark.kernels
 def test_cost_and_gradient_equal_numpy(paired):
     x, gradient, step = np.array([0.02, -0.03, 0.01, 0.05, -0.04, 0.1]), np.empty(6), 1e-6
-    assert pcl_bfgs.mean_cost(x, *paired, gradient) == pytest.approx(naive.gicp_cost(x, *paired), rel=1e-4)
+    assert pcl.mean_cost(x, *paired, gradient) == pytest.approx(naive.gicp_cost(x, *paired), rel=1e-4)
     numeric = [
         (naive.gicp_cost(x + e, *paired) - naive.gicp_cost(x - e, *paired)) / (2 * step) for e in step * np.eye(6)
     ]
     np.testing.assert_allclose(gradient, numeric, rtol=1e-3, atol=1e-3)
     np.testing.assert_allclose(
-        pcl_bfgs.euler_pose(x)[:3, :3], Rotation.from_euler("xyz", x[3:]).as_matrix(), atol=1e-12
+        pcl.euler_pose(x)[:3, :3], Rotation.from_euler("xyz", x[3:]).as_matrix(), atol=1e-12
     )
 
 
@@ -190,7 +190,7 @@ def test_cost_and_gradient_equal_numpy(paired):
 def test_the_minimum_equals_scipy_s_within_the_gradient_tolerance(paired):
     x = np.zeros(6)
     for _ in range(5):
-        pcl_bfgs.minimise(x, *paired)
+        pcl.minimise(x, *paired)
     best = minimize(naive.gicp_cost, np.zeros(6), paired, method="BFGS", options={"gtol": 1e-8})
     assert naive.gicp_cost(np.zeros(6), *paired) > 10 * best.fun
     assert naive.gicp_cost(x, *paired) < 1.01 * best.fun
