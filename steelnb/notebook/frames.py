@@ -34,8 +34,7 @@ from steelnb.simulation.flight import pose_on_path
 from steelnb.simulation.tof import TofCamera, take_view
 from steelnb.simulation.truth import SLICE_M
 
-NOISE_M, CLUTTER = 0.02, 0.1
-USUAL = {"noise_m": NOISE_M, "clutter": CLUTTER, "kept": 1.0}
+USUAL = {"noise_m": 0.02, "clutter": 0.1, "kept": 1.0}
 """The conditions at which the methods are compared."""
 TRIAL_COLUMNS = ("scene", "noise_m", "clutter", "kept", "method")
 MEASURES = ["recall", "precision", "duplicates", "angle_deg", "offset_m"]
@@ -84,7 +83,12 @@ class Scenes:
         self._camera = TofCamera(self.tower, TofSettings.preset("starling2"), seed=0)
 
     def frames(
-        self, seed: int, count: int, noise_m: float = NOISE_M, clutter: float = CLUTTER, kept: float = 1.0
+        self,
+        seed: int,
+        count: int,
+        noise_m: float = USUAL["noise_m"],
+        clutter: float = USUAL["clutter"],
+        kept: float = USUAL["kept"],
     ) -> list[FrameScene]:
         """Views from random places on the zigzag and the loops, alternating."""
         self._camera.settings = self._camera.settings.replace(sigma_floor_m=noise_m, sigma_relative=0.0)

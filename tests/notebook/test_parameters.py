@@ -193,8 +193,9 @@ def test_the_note_is_shown_for_other_parameters_than_the_committed_ones(
         assert capsys.readouterr().out == "", part.label
         defaults = literals(cell_of(path.stem))
         name = next(name for name in ("seed", "seeds", "study_folder") if name in defaults)
-        other = {list: [7], str: str(FOLDER.parent / "results" / "study")}.get(type(defaults[name]), 7)
-        other = 7 if name == "seed" and not isinstance(defaults[name], list) else other
+        other: object = [7] if isinstance(defaults[name], list) else 7
+        if name == "study_folder":
+            other = str(FOLDER.parent / "results" / "study")
         run(shell, f"{name} = {other!r}\n")
         parameters.check(path.stem)
         parameters.note()

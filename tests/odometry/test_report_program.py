@@ -181,9 +181,7 @@ def test_cost_and_gradient_equal_numpy(paired):
         (naive.gicp_cost(x + e, *paired) - naive.gicp_cost(x - e, *paired)) / (2 * step) for e in step * np.eye(6)
     ]
     np.testing.assert_allclose(gradient, numeric, rtol=1e-3, atol=1e-3)
-    np.testing.assert_allclose(
-        pcl.euler_pose(x)[:3, :3], Rotation.from_euler("xyz", x[3:]).as_matrix(), atol=1e-12
-    )
+    np.testing.assert_allclose(pcl.euler_pose(x)[:3, :3], Rotation.from_euler("xyz", x[3:]).as_matrix(), atol=1e-12)
 
 
 @pytest.mark.kernels
