@@ -229,7 +229,7 @@ def test_key_follows_what_a_part_depends_on(project: Path, monkeypatch: pytest.M
     [
         ("-p trajectry=loops", ["pair", "trajectry", "did you mean 'trajectory'", "count"]),
         ("-p value", ["NAME=VALUE"]),
-        ("singel", ["'singel', did you mean 'single'?", "'pair', 'single'"]),
+        ("singel", ["ONLY = 'singel'", "did you mean 'single'", "'pair', 'single'"]),
         ("--budget huge", ["BUDGET = 'huge'", "'full', 'smoke'"]),
         ("--jobs 0", ["--jobs", "1"]),
         ("--output environment.lock/below", ["environment.lock", "cannot be written"]),
