@@ -5,7 +5,6 @@ from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
-from steelnb.core.arguments import checks_arguments
 from steelnb.core.checks import (
     check_same_stamps,
     checked_array,
@@ -27,7 +26,6 @@ BEND_SLICE_M, POINTS_MIN = 1.0, 200
 """Height of the slices in which a bend is measured, and minimum number of points of a slice."""
 
 
-@checks_arguments
 def bend(built: Array, true: Array, axis: ArrayLike = (0.0, 0.0)) -> dict[str, float]:
     """Measure how a cloud is bent: fit a rigid motion (Kabsch 1976) from the true to the built cloud in each horizontal
     slice. Both are ``(N, 3)``, metres, world frame.
@@ -75,7 +73,6 @@ def _rigid_fit(source: Array, target: Array) -> tuple[Array, float]:
     return T, float(np.sqrt((residual**2).sum(axis=1).mean()))
 
 
-@checks_arguments
 def basin_radius_m(offset_m: Array, converged: np.ndarray) -> float:
     """Radius of the basin of convergence, metres: every start within it converges to the true pose.
 
@@ -88,7 +85,6 @@ def basin_radius_m(offset_m: Array, converged: np.ndarray) -> float:
     return float(distance[distance < nearest_failure - 1e-9].max(initial=0.0))
 
 
-@checks_arguments
 def largest_slip(error_m: Array, stamp_s: Array) -> tuple[int, float]:
     """Largest growth of an error ``(N,)`` within a second of its stamps ``(N,)``, by `pairs_in_time`, or over all of a
     shorter flight: (scan at its end, growth in metres).
@@ -105,7 +101,6 @@ def largest_slip(error_m: Array, stamp_s: Array) -> tuple[int, float]:
     return int(second[k]), float(growth[k])
 
 
-@checks_arguments
 def paired_clouds(
     flight: Flight, estimate: Estimate, truth: Truth, preprocess: PreprocessSettings, every: int = 4
 ) -> tuple[Array, Array]:

@@ -5,7 +5,6 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from steelnb.core.arguments import checks_arguments
 from steelnb.core.errors import InputError
 from steelnb.core.estimates import Estimate
 from steelnb.core.types import Array, Flight
@@ -21,7 +20,6 @@ WRONG_SHARE = 0.05
 """A run with a larger share of falsely registered scans than this has converged wrongly."""
 
 
-@checks_arguments
 def score_estimate(estimate: Estimate, truth: Truth, blind_s: Sequence[tuple[float, float]] = ()) -> dict[str, float]:
     """The metrics of a run, with units in their names. ``blind_s``: begin and end of each gap without scans."""
     corrected, segments = estimate.corrected, estimate.segments
@@ -45,7 +43,6 @@ def score_estimate(estimate: Estimate, truth: Truth, blind_s: Sequence[tuple[flo
     return numbers
 
 
-@checks_arguments
 def diagnose(flight: Flight, estimate: Estimate, truth: Truth, preprocess: PreprocessSettings) -> dict[str, float]:
     """Diagnostics of a run beside its metrics, NaN where they are not defined.
 

@@ -6,11 +6,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from steelnb.core.arguments import checks_arguments
 from steelnb.core.checks import checked_array, checked_number, checked_shape
 from steelnb.core.errors import InputError
 from steelnb.core.types import Array, IntArray, Segments
-from steelnb.simulation.truth import SCAN_RETURNS_MIN, SliceCounter, Visibility
+from steelnb.simulation.truth import SCAN_RETURNS_MIN, SLICE_M, SliceCounter, Visibility
 
 ANGLE_MAX_RAD, DISTANCE_MAX_M, SHARE_MIN = math.radians(5), 0.10, 0.5
 """Maximum angle and distance of a segment from its member, and minimum share of its samples on it."""
@@ -18,8 +17,6 @@ SAMPLES = 41
 """Number of samples along a segment."""
 PARTS = 200
 """Number of equal parts of a member in which its coverage is counted."""
-GAP_MAX_M = 0.1
-"""Maximum gap between points along an observed part of a member."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,7 +101,6 @@ class SegmentScore:
     offset_m: Array
 
 
-@checks_arguments
 def score_segments(
     segments: Segments,
     axes: Array,
@@ -161,13 +157,12 @@ class SeenMembers:
         return self.visibility.observed(SCAN_RETURNS_MIN)
 
 
-@checks_arguments
 def seen_members(axes: Array, points: Array, member: IntArray) -> SeenMembers:
     """The observed parts of members with ``axes (M, 2, 3)``, from noise-free ``points (N, 3)`` on their surfaces.
 
     ``member (N,)``: the member of each point, negative for a plate. The axis of an angle section is its heel, which is
     not visible from outside. A correct method finds a line in the middle of the visible surface, up to half a flange
-    from it. A part is observed if it is within half of `GAP_MAX_M` of a point, along the axis. Raises `InputError`.
+    from it. A part is observed if it is within `SLICE_M` of a point, along the axis. Raises `InputError`.
     """
     axes, points = checked_axes(axes), checked_array(points, "points", ("N", 3))
     member, counter = checked_shape(member, "member", (len(points),)), SliceCounter(axes)
@@ -187,5 +182,5 @@ def seen_members(axes: Array, points: Array, member: IntArray) -> SeenMembers:
         observed_axes[m] = middle + along[[0, -1], None] * axis
         parts = along[0] + (np.arange(PARTS) + 0.5) / PARTS * length
         after = np.clip(np.searchsorted(along, parts), 1, len(along) - 1)
-        seen[m] = np.minimum(parts - along[after - 1], along[after] - parts) <= GAP_MAX_M / 2
+        seen[m] = np.minimum(parts - along[after - 1], along[after] - parts) <= SLICE_M
     return SeenMembers(observed_axes, seen, counter.visibility())

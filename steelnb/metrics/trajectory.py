@@ -4,7 +4,6 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from steelnb.core.arguments import checks_arguments
 from steelnb.core.checks import SAME_S, checked_array
 from steelnb.core.errors import InputError
 from steelnb.core.geometry import inverse_poses
@@ -19,14 +18,12 @@ RPE_MIN, RPE_MAX = 0.5, 1.5
 is longer. Pairs across a gap are left out."""
 
 
-@checks_arguments
 def position_error_m(estimate: Trajectory, truth: Trajectory) -> Array:
     """Distance ``(N,)`` between estimated and true position at the stamps of the estimate, metres. Raises `InputError`
     if the truth has no pose at one of them."""
     return np.asarray(np.linalg.norm(estimate.position - truth.at(estimate.stamp_s).position, axis=1))
 
 
-@checks_arguments
 def score_trajectory(estimate: Trajectory, truth: Trajectory) -> dict[str, float]:
     """Absolute trajectory error and relative pose error of an estimate, metres.
 
@@ -72,7 +69,6 @@ def pairs_in_time(stamp_s: Array) -> tuple[IntArray, IntArray, Array]:
     return first, second, np.where(np.abs(apart_s - RPE_S) <= off_s, 1.0, RPE_S / apart_s)
 
 
-@checks_arguments
 def score_gaps(estimate: Trajectory, truth: Trajectory, blind_s: Sequence[tuple[float, float]]) -> dict[str, float]:
     """Position errors, metres, of a flight without scans in the intervals ``blind_s``.
 

@@ -15,8 +15,7 @@ from typing import Any, ClassVar, Protocol
 
 import numpy as np
 
-from steelnb.core.arguments import checks_arguments
-from steelnb.core.checks import SAME_S, checked_cloud, checked_kind, checked_points, checked_pose, guess, shown
+from steelnb.core.checks import SAME_S, checked_cloud, checked_kind, checked_points, checked_pose, guess
 from steelnb.core.errors import InputError, SteelnbError
 from steelnb.core.estimates import Estimate, OdometryStep
 from steelnb.core.geometry import points_along
@@ -70,6 +69,8 @@ class BaseOdometry(ABC):
     method: ClassVar[str]
     stages: ClassVar[tuple[str, ...]]
     """Names of the ``seconds`` of a step."""
+    uses: ClassVar[tuple[str, ...]] = ()
+    """Names of further parts of a flight that the constructor takes: ``imu``, ``images``."""
 
     def __init__(self, settings: OdometrySettings | None = None, T_drone_sensor: Array | None = None) -> None:
         self.settings = OdometrySettings.preset(self.method) if settings is None else settings
@@ -127,7 +128,6 @@ def nothing_near(scan: Scan, crop_m: float) -> str:
 OnStep = Callable[[int, Scan, OdometryStep], None]
 
 
-@checks_arguments
 def run(flight: Flight, odometry: Odometry, on_step: OnStep | None = None, before: Flight | None = None) -> Estimate:
     """Correct a flight scan by scan; one scan is in memory at a time.
 
@@ -142,8 +142,6 @@ def run(flight: Flight, odometry: Odometry, on_step: OnStep | None = None, befor
     Raises `InputError` if other scans are read than the flight has poses for, by number or by stamp, and if an update
     returns no `OdometryStep`, one of another stamp or one that is not valid; the message names the class and the scan.
     """
-    if isinstance(odometry, type) or not callable(getattr(odometry, "update", None)):
-        raise InputError(f"odometry = {shown(odometry)}: expected an object with a method update, as of make_odometry")
     if before is not None:
         run(before, odometry)
     steps: list[OdometryStep] = []
@@ -157,7 +155,7 @@ def run(flight: Flight, odometry: Odometry, on_step: OnStep | None = None, befor
         given = (scan if is_ours else copy.deepcopy(scan)), flight.prior.T_world_drone[k].copy()  # which it may change
         begin = time.perf_counter()
         try:
-            with nullcontext() if is_ours else users_code("it", "an OdometryStep"):
+            with nullcontext() if is_ours else users_code("it"):
                 step = odometry.update(*given)
             update_s[k] = time.perf_counter() - begin
             # Checked again, as the odometry may have changed the array since.
@@ -209,11 +207,8 @@ def _map_of(odometry: Odometry, method: str, default: Any) -> Any:
 GIVEN = ("T_drone_sensor", "imu", "images")
 """Parts of a flight that the constructor of a user's odometry may take under these names."""
 BY_NAME = inspect.Parameter.POSITIONAL_OR_KEYWORD, inspect.Parameter.KEYWORD_ONLY
-SIGNALLED = 128
-"""Codes of an exit above this are those of a signal, not the user's."""
 
 
-@checks_arguments
 def load_odometry(name: str) -> Callable[..., Odometry]:
     """Load the class ``MODULE:CLASS`` from an installed module or from one in the working directory, or
     ``FILE.py:CLASS`` from a file.
@@ -228,13 +223,12 @@ def load_odometry(name: str) -> Callable[..., Odometry]:
             raise InputError(f"{name}: no file {module_name}; expected FILE.py:CLASS or MODULE:CLASS")
         folder, module_name = file.parent, file.stem
     sys.path.insert(0, str(folder))
-    with users_code(f"{name}: module {module_name!r}", "its program below `if __name__ == '__main__':`"):
-        try:
-            module = importlib.import_module(module_name)
-        except Exception as fault:  # the user's module may raise anything
-            raise InputError(f"{name}: module {module_name!r} cannot be imported: {fault}") from None
-        finally:
-            sys.path.pop(0)
+    try:
+        module = importlib.import_module(module_name)
+    except (Exception, SystemExit) as fault:  # the user's module may raise anything, or run a program
+        raise InputError(f"{name}: module {module_name!r} cannot be imported: {fault!r}") from None
+    finally:
+        sys.path.pop(0)
     where = getattr(module, "__file__", None) or "Python itself"
     if file is not None and Path(where).resolve() != file:
         raise InputError(f"{name}: {module_name!r} is the name of another module, in {where}; rename the file")
@@ -261,9 +255,8 @@ def make_own(own: Callable[..., Odometry], flight: Flight) -> Odometry:
 
 
 @contextmanager
-def users_code(what: str, expected: str = "no exit") -> Iterator[None]:
-    """Raise `InputError` if a user's code raises anything, with the line, or would end the process, often with the code
-    of success. ``what``: that code."""
+def users_code(what: str) -> Iterator[None]:
+    """Raise `InputError`, with the line, if a user's code raises anything. ``what``: that code."""
     try:
         yield
     except SteelnbError:
@@ -272,10 +265,6 @@ def users_code(what: str, expected: str = "no exit") -> Iterator[None]:
         last = traceback.extract_tb(fault.__traceback__)[-1]
         said = f"{type(fault).__name__}: {fault}".removesuffix(": ")
         raise InputError(f"{what} raises {said} ({last.filename}, line {last.lineno})") from fault
-    except SystemExit as ended:
-        if isinstance(ended.code, int) and ended.code > SIGNALLED:
-            raise
-        raise InputError(f"{what} ends the process with {ended!r}; expected {expected}") from None
 
 
 def _check_constructor(own: Callable[..., Odometry], name: str) -> None:

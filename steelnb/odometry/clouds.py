@@ -5,7 +5,6 @@ from typing import ClassVar, Literal, NamedTuple
 
 import numpy as np
 
-from steelnb.core.arguments import checks_arguments
 from steelnb.core.geometry import transform_points
 from steelnb.core.types import Array, Imu, IntArray, Scan
 from steelnb.fusion.point_to_bar import world_points
@@ -62,8 +61,8 @@ MAPS = {"re-voxelised": RE_VOXELISED, "weighted": WEIGHTED, "measured": MEASURED
 """The setting ``map`` → its style."""
 
 
-class Evidence(NamedTuple):
-    """What a scan must show to correct its prediction: a minimum number of points, and a minimum strength of the
+class ScanDemand(NamedTuple):
+    """What a scan must have to correct its prediction: a minimum number of points, and a minimum strength of the
     normals along a direction, relative to the strongest one (`unobserved_shifts`), for a correction along it by
     GICP."""
 
@@ -71,9 +70,9 @@ class Evidence(NamedTuple):
     normals_min: float
 
 
-UNANCHORED = Evidence(points_min=10, normals_min=0.0)
+UNANCHORED = ScanDemand(points_min=10, normals_min=0.0)
 """For a prediction without a stated uncertainty."""
-ANCHORED = Evidence(points_min=100, normals_min=NORMALS_MIN)
+ANCHORED = ScanDemand(points_min=100, normals_min=NORMALS_MIN)
 """For a prediction with one. 8 × 8 pixels are too few: they sample a surface more coarsely than the map's voxels. The
 normals' strength is in front of the report's tower at least 0.18, or 0.06 with the
 report's sensor. On a tower 6 m wide it sometimes falls to 0.03."""
@@ -87,17 +86,17 @@ sensor, so that the filter's errors are as large as it claims; 2 to 4 cm and 5 t
 class CloudOdometry(BaseOdometry):
     """Registers each scan to the map of the scans before it.
 
-    The setting ``map`` selects a `MapStyle`, and the prediction an `Evidence`. Settings are of the family of clouds or
+    The setting ``map`` selects a `MapStyle`, and the prediction a `ScanDemand`. Settings are of the family of clouds or
     faces. ``imu``: readings in the drone frame, used up to the current scan if the settings have ``inertial``.
     """
 
     kind: ClassVar[type[OdometrySettings]] = RegistrationSettings
     method = "best"
+    uses: ClassVar[tuple[str, ...]] = ("imu",)
     stages: ClassVar[tuple[str, ...]] = ("preprocess", "prepare", "register", "map")
     inliers_min = INLIER_SHARE_MIN
     settings: RegistrationSettings | LoamSettings
 
-    @checks_arguments
     def __init__(
         self, settings: OdometrySettings | None = None, T_drone_sensor: Array | None = None, imu: Imu | None = None
     ) -> None:
@@ -106,11 +105,11 @@ class CloudOdometry(BaseOdometry):
         self.style = style = MAPS[s.map]
         self.map = VoxelMap(s.map_voxel_m, style.accumulate)
         self.prediction = make_prediction(s.prior_sigma, s.tilt_sigma_rad, s.inertial, imu)
-        self.evidence = ANCHORED if self.prediction.known else UNANCHORED
+        self.demand = ANCHORED if self.prediction.known else UNANCHORED
         self.options = AlignOptions(
             s.error, FREE["se3" if self.prediction.tilted else s.dof], s.max_correspondence_m, s.robust_scale or np.inf,
             style.iterations_max[s.dof], style.rotation_epsilon_rad, style.translation_epsilon_m, style.accelerated,
-            self.evidence.normals_min if s.error == "gicp" else 0.0,
+            self.demand.normals_min if s.error == "gicp" else 0.0,
         )  # fmt: skip
         self.sigma_filter_px = s.sigma_filter_px
         self.near_side = NearSide()
@@ -207,7 +206,7 @@ class CloudOdometry(BaseOdometry):
         self, points: Array, covariance: Array | None, target: AnyTarget | None, T_init: Array
     ) -> tuple[RegistrationResult | None, str]:
         """The registration of a scan, and the reason if it is not used."""
-        if len(points) < self.evidence.points_min:
+        if len(points) < self.demand.points_min:
             return None, "too few points"
         if not self.mapped:
             return None, "first scan"

@@ -14,7 +14,6 @@ from concurrent.futures import Future, ThreadPoolExecutor
 
 import numpy as np
 
-from steelnb.core.arguments import checks_arguments
 from steelnb.core.errors import InputError
 from steelnb.core.geometry import information_at, moved_poses, pose_step
 from steelnb.core.types import Array, Imu, Scan, Segments, Trajectory
@@ -28,7 +27,7 @@ from steelnb.odometry.base import BaseOdometry, Outcome, Stopwatch
 from steelnb.odometry.clouds import CloudOdometry
 from steelnb.odometry.inertial import InertialPrediction
 from steelnb.odometry.prediction import LastingError, RegisteredPose
-from steelnb.odometry.scan_to_bars import SCAN_POINTS_MIN, Fit, Locator, points_in_range
+from steelnb.odometry.scan_to_bars import MATCHED_BARS_MIN, SCAN_POINTS_MIN, Fit, Locator, points_in_range
 from steelnb.points import VoxelMap
 from steelnb.settings import FaceSettings, ImuSettings, OdometrySettings, StructureSettings
 
@@ -57,11 +56,10 @@ class FaceOdometry(BaseOdometry):
     Adjustments also use the readings of an ``imu``. The fallback has the same settings and shares its prediction.
     """
 
-    kind, method = FaceSettings, "faces"
+    kind, method, uses = FaceSettings, "faces", ("imu",)
     stages = (*CloudOdometry.stages, "refit")
     settings: FaceSettings
 
-    @checks_arguments
     def __init__(
         self, settings: OdometrySettings | None = None, T_drone_sensor: Array | None = None, imu: Imu | None = None
     ) -> None:
@@ -199,8 +197,6 @@ FITS, STAGES = 2, ((1, 2),)
 KEYFRAMES_MAX, RECENT = 400, 100
 """Above this number every second keyframe is dropped, except the first and the most recent ones. This bounds the time
 of an adjustment."""
-BARS_MIN = 4
-"""Minimum number of bars with a section."""
 
 
 class Keyframes:
@@ -244,7 +240,7 @@ class Keyframes:
             )
         try:
             state, _ = adjust(
-                mapped, self._prior, stamp_s, STAGES, FITS, every=1, bars_min=BARS_MIN,
+                mapped, self._prior, stamp_s, STAGES, FITS, every=1, bars_min=MATCHED_BARS_MIN,
                 tilt_sigma_rad=self.tilt_sigma_rad, inertial=inertial, before=self._before,
             )  # fmt: skip
         except InputError:

@@ -52,7 +52,7 @@ from steelnb.settings import ImuSettings
 FILTER_DOF = STATE_DOF + POSE_DOF
 ERROR = slice(STATE_DOF, FILTER_DOF)
 """The order of errors here: those of `imu_factors`, then the lasting error of registrations, rotation and position."""
-TURN, SHIFT = slice(STATE_DOF, STATE_DOF + 3), slice(STATE_DOF + 3, FILTER_DOF)
+TURN, SHIFT = (slice(STATE_DOF + part.start, STATE_DOF + part.stop) for part in (ROTATION, POSITION))
 """The two parts of the lasting error."""
 
 

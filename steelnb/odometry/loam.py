@@ -34,7 +34,7 @@ class LoamOdometry(CloudOdometry):
     Scans are range images ``(H, W, 3)``; clouds ``(N, 3)`` of spinning LiDARs are first sorted into scan lines.
     """
 
-    kind, method = LoamSettings, "loam"
+    kind, method, uses = LoamSettings, "loam", ()
     inliers_min = 0.0
     settings: LoamSettings
 

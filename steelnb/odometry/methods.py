@@ -3,14 +3,11 @@
 import time
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any, NamedTuple
 
 import numpy as np
 
-from steelnb.core.arguments import checks_arguments
 from steelnb.core.estimates import Estimate
 from steelnb.core.types import Array, CameraImages, Flight, Imu
-from steelnb.fusion.adjustment.imu_factors import check_imu
 from steelnb.fusion.adjustment.smooth import smooth, with_range_sigmas
 from steelnb.odometry.base import BaseOdometry, Odometry, OnStep, make_own, run
 from steelnb.odometry.clouds import CloudOdometry
@@ -24,40 +21,29 @@ from steelnb.odometry.report_segments import ReportSegmentOdometry
 from steelnb.odometry.segments import SegmentOdometry
 from steelnb.settings import OdometrySettings, StructureSettings
 
-
-class Parts(NamedTuple):
-    """The parts of a flight that an odometry may be made of: mount of the sensor ``(4, 4)``, readings of an IMU and
-    images of a camera, None if there are none."""
-
-    T_drone_sensor: Array
-    imu: Imu | None = None
-    images: CameraImages | None = None
-
-
-ODOMETRIES: dict[str, Callable[[Any, Parts], BaseOdometry]] = {
-    "segments": lambda settings, parts: SegmentOdometry(settings, parts.T_drone_sensor),
-    "clouds": lambda settings, parts: CloudOdometry(settings, parts.T_drone_sensor, parts.imu),
-    "faces": lambda settings, parts: FaceOdometry(settings, parts.T_drone_sensor, parts.imu),
-    "loam": lambda settings, parts: LoamOdometry(settings, parts.T_drone_sensor),
-    "orb": lambda settings, parts: OrbOdometry(settings, parts.T_drone_sensor, parts.imu, parts.images),
-    "deepvo": lambda settings, parts: DeepVoOdometry(settings, parts.T_drone_sensor),
-    "library": lambda settings, parts: PeerOdometry(settings, parts.T_drone_sensor),
-    "report_clouds": lambda settings, parts: ReportCloudOdometry(settings, parts.T_drone_sensor),
-    "report_segments": lambda settings, parts: ReportSegmentOdometry(settings, parts.T_drone_sensor),
+ODOMETRIES: dict[str, type[BaseOdometry]] = {
+    "segments": SegmentOdometry,
+    "clouds": CloudOdometry,
+    "faces": FaceOdometry,
+    "loam": LoamOdometry,
+    "orb": OrbOdometry,
+    "deepvo": DeepVoOdometry,
+    "library": PeerOdometry,
+    "report_clouds": ReportCloudOdometry,
+    "report_segments": ReportSegmentOdometry,
 }
-"""Family of settings → its odometry from the settings and the parts of a flight."""
+"""Family of settings → its odometry."""
 
 
-@checks_arguments
 def make_odometry(
     settings: OdometrySettings, T_drone_sensor: Array, imu: Imu | None = None, images: CameraImages | None = None
 ) -> BaseOdometry:
     """A new odometry of the settings' family; ``T_drone_sensor (4, 4)`` is the mount of the sensor. Families that have
     no use for ``imu`` or ``images`` ignore them. Raises `InputError`."""
-    return ODOMETRIES[settings.family](settings, Parts(T_drone_sensor, imu, images))
+    kind, parts = ODOMETRIES[settings.family], {"imu": imu, "images": images}
+    return kind(settings, T_drone_sensor, **{name: parts[name] for name in kind.uses})
 
 
-@checks_arguments
 def correct(
     flight: Flight,
     settings: OdometrySettings,
@@ -69,8 +55,7 @@ def correct(
 
     With ``smooth``, all poses and bars are then adjusted together (`fusion.adjustment.smooth`). Smoothing time is
     divided evenly over the scans. ``on_step`` and ``before`` as for `run`. ``own`` is a class that replaces the
-    odometry of the settings (`load_odometry`). Raises `InputError` as `run` does, and before the first scan if the
-    readings of an IMU do not fit the prior (`check_imu`).
+    odometry of the settings (`load_odometry`). Raises `InputError` as `run` does.
 
     Poses far from zero, such as in UTM, are moved near it for the work (`Flight.origin`), and results back."""
     if (origin := flight.origin).any():
@@ -79,8 +64,6 @@ def correct(
         found = correct(near, settings, shown, own, near_before)
         return found.moved(origin, flight.prior)
     noise = getattr(settings, "inertial", None)
-    if noise and flight.imu is not None:
-        check_imu(flight.imu, flight.prior)
     odometry: Odometry
     if own is None:
         odometry = make_odometry(settings, flight.T_drone_sensor, flight.imu, flight.images)

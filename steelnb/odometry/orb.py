@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from steelnb.core.arguments import checks_arguments
 from steelnb.core.geometry import exp_about, transform_points
 from steelnb.core.robust import geman_mcclure
 from steelnb.core.types import Array, CameraImages, GreyImage, Imu, IntArray, Scan, project, unproject
@@ -177,8 +176,6 @@ def linearised_reprojections(
 
 SPACING_PX = 4.0
 """Minimum distance of new landmarks, along u or v, from those already expected in the image."""
-INLIER_WEIGHT = 0.25
-"""Minimum robust weight of an inlier: that of an error equal to the robust scale."""
 FEATURES = 800
 """Maximum number of features per image."""
 KEYFRAME_M, TURN_RAD_PER_M = 0.1, 0.5
@@ -191,7 +188,8 @@ NEAR_PX, NEAR_HAMMING = 3.0, 110
 RATIO = 0.85
 """Ratio test: maximum distance of the best descriptor relative to the second best (Lowe, IJCV 60, 2004: 0.8)."""
 ROBUST_SCALE = 2.0
-"""Scale of the Geman-McClure weights, in standard deviations."""
+"""Scale of the Geman-McClure weights, in standard deviations. An inlier has at most this error."""
+INLIER_WEIGHT, _ = geman_mcclure(np.square(ROBUST_SCALE), ROBUST_SCALE)
 MATCHES_MIN = 8
 """Minimum number of matches: four for a pose, and four to check it."""
 LANDMARKS_MAX = 10_000
@@ -231,11 +229,10 @@ class OrbOdometry(BaseOdometry):
         follows the prior.
     """
 
-    kind, method = OrbSettings, "orb"
+    kind, method, uses = OrbSettings, "orb", ("imu", "images")
     stages = "features", "track", "map"
     settings: OrbSettings
 
-    @checks_arguments
     def __init__(
         self,
         settings: OdometrySettings | None = None,

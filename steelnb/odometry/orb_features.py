@@ -22,8 +22,6 @@ POINTS_MIN = 6
 SMOOTH, FLAT = 3.0, 0.25
 """Maximum deviation of a depth from a smooth surface, in standard deviations; and maximum relative change of the depth
 from the centre of the neighbourhood to its border: steeper surfaces count as edges."""
-BITS = 257
-"""More than the Hamming distance of any two descriptors."""
 
 
 class Features(NamedTuple):
@@ -175,7 +173,7 @@ def match(
     bits = np.bitwise_count(descriptor[n] ^ reference[m]).sum(axis=1, dtype=np.int64)
     order = np.lexsort((n, bits, m))
     m, n, bits = m[order], n[order], bits[order]
-    second = np.where(np.diff(m, append=-1) == 0, np.append(bits, BITS)[1:], BITS)
+    second = np.where(np.diff(m, append=-1) == 0, np.append(bits, np.inf)[1:], np.inf)
     good = (np.diff(m, prepend=-1) != 0) & (bits <= hamming_max) & (bits <= ratio * second)
     m, n, bits = m[good], n[good], bits[good]
     order = np.lexsort((m, bits, n))

@@ -10,9 +10,6 @@ from steelnb.core.types import Array
 from steelnb.fusion.adjustment.factors import DRIFT_PERIOD_S, tilt_decay
 from steelnb.registration import Term, prior_term
 
-NONE = np.zeros((0, 3))
-"""No directions."""
-
 
 class RegisteredPose(NamedTuple):
     """The pose ``(4, 4)`` of a registered scan, and what determines it.
@@ -23,7 +20,7 @@ class RegisteredPose(NamedTuple):
     """
 
     T_world_drone: Array
-    unobserved: Array = NONE
+    unobserved: Array = np.zeros((0, 3))
     H: Array = np.zeros((6, 6))
     arm: Array = np.zeros(3)
 

@@ -20,8 +20,6 @@ from steelnb.settings import HoughSettings, OdometrySettings, ReportSegmentSetti
 
 NO_FLOOR_M = -1e6
 """No floor filter: the Hough transform includes the points of the floor."""
-FLOOR_M = 0.3
-"""Segments with both ends below this height are dropped."""
 RADIUS_M = 0.05
 """Radius of every bar in the original."""
 DISTANCE_MAX_M = 2 * RADIUS_M + 4 * math.sqrt(3) * RADIUS_M / 1.5
@@ -36,8 +34,9 @@ WEIGHT = 0.01
 class ReportSegmentOdometry(BaseOdometry):
     """Corrects a drifting position by bars, as the report's program does. The attitude is the prior's.
 
-    The default settings are those of the report's sensor. ``error (3,)``: position error so far, metres, world frame;
-    ``lines``: number of Hough lines in the last scan.
+    The default settings are those of the report's sensor. Segments with both ends below the floor are
+    dropped. ``error (3,)``: position error so far, metres, world frame; ``lines``: number of Hough lines in the last
+    scan.
     """
 
     kind, method = ReportSegmentSettings, "report-segments"
@@ -56,7 +55,9 @@ class ReportSegmentOdometry(BaseOdometry):
         T_world_drone = prior.copy()
         T_world_drone[:3, 3] -= self.error
         segments = found.transformed(T_world_drone)
-        segments = segments.take(np.maximum(segments.start[:, 2], segments.end[:, 2]) > FLOOR_M)
+        segments = segments.take(
+            np.maximum(segments.start[:, 2], segments.end[:, 2]) > self.settings.preprocess.floor_m
+        )
         watch.lap("hough")
         watch.seconds["hough"] = hough_s
         reason = "no segment of the map seen" if len(self.bars) else "first scan"

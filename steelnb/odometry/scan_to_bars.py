@@ -20,9 +20,9 @@ from steelnb.odometry.near_side import pixels_on_surfaces
 
 MATCH_REACH_M, MATCH_MARGIN_M = 0.15, 0.03
 """Reach and margin of the voxels of a bar (`BarVoxels.around`)."""
-SIGMA_M, TURN_SIGMA, FLANGE_SIGMA_M = 0.003, 0.05, 0.003
-"""Standard deviations of a bar: of its position (an error that all scans share), of the rotation of its section,
-radians, and of its flange."""
+BAR_SIGMA_M, TURN_SIGMA = 0.003, 0.05
+"""Standard deviations of a bar: of its position (an error that all scans share) and its flange, and of the rotation of
+its section, radians."""
 MATCH_SIGMAS = 3.0
 STEPS_MAX = 5
 STEP_MIN = np.array([1e-4, 1e-4, 1e-4, 2e-4, 2e-4, 2e-4])
@@ -121,9 +121,9 @@ class Locator:
         pose = Problem(T_world_sensor[None], bars, self.ratio, np.zeros((n, 2)), self.tilt_sigma_rad)
         equations, size = linearised(pose, observations), len(self.variance)
         sigma = np.empty((n, FACE_DOF))
-        sigma[:, :2] = SIGMA_M
+        sigma[:, :2] = BAR_SIGMA_M
         sigma[:, 2:4] = sigma[:, :2] / np.maximum(0.5 * bars.segments.length, 0.1)[:, None]
-        sigma[:, 4:] = TURN_SIGMA, FLANGE_SIGMA_M, THICKNESS_SPREAD
+        sigma[:, 4:] = TURN_SIGMA, BAR_SIGMA_M, THICKNESS_SPREAD
         equations.block[:, np.arange(FACE_DOF), np.arange(FACE_DOF)] += sigma**-2.0
         beside = np.concatenate([equations.cross.transpose(0, 2, 1), equations.rhs[:, :, None]], axis=2)
         marginal = (equations.cross @ np.linalg.solve(equations.block, beside)).sum(axis=0)

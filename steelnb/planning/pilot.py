@@ -4,7 +4,6 @@ from collections.abc import Callable, Iterable
 
 import numpy as np
 
-from steelnb.core.arguments import checks_arguments
 from steelnb.core.checks import check_length, check_sequence, checked_kind, checked_number, checked_pose
 from steelnb.core.estimates import OdometryStep
 from steelnb.core.types import Array, Imu, Scan
@@ -23,7 +22,6 @@ class OnboardPilot:
     of the flight.
     """
 
-    @checks_arguments
     def __init__(
         self, settings: ExperimentSettings, imu: Imu, on_progress: Callable[[float], None] | None = None
     ) -> None:
@@ -36,7 +34,6 @@ class OnboardPilot:
         self.decisions: list[tuple[float, Decision]] = []
         self._last_prior: Array | None = None
 
-    @checks_arguments
     def __call__(
         self, now_s: float, scans: Iterable[tuple[Scan, Array]], T_world_drone_prior: Array
     ) -> tuple[Array, float] | None:

@@ -9,7 +9,6 @@ from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.colors import to_rgb
 from numpy.typing import NDArray
 
-from steelnb.core.arguments import checks_arguments
 from steelnb.core.types import Array, Segments, Trajectory
 from steelnb.metrics import position_error_m
 from steelnb.plots.style import BLACK, COLOURS, KINDS, LABELS, Figure, drawable, gather_legend, style
@@ -25,25 +24,21 @@ BAR_M = 2.0
 """Length of the bar that shows the scale of a perspective."""
 
 
-@checks_arguments
 def draw_lines(panel: Axes, lines: Array, **look: Any) -> None:
     """Draw straight lines ``(M, 2, 2)`` into a panel; ``look`` are properties of a `LineCollection`."""
     panel.add_collection(LineCollection(list(lines), **{"capstyle": "round", **look}))
 
 
-@checks_arguments
 def end_points(segments: Segments) -> Array:
     """Both ends of each segment ``(M, 2, 3)``."""
     return np.stack([segments.start, segments.end], axis=1)
 
 
-@checks_arguments
 def thinned(points: Array, count: int) -> Array:
     """At most ``count`` of the points ``(N, 3)``, evenly spaced in their order."""
     return points[np.linspace(0, len(points) - 1, min(len(points), count)).astype(int)]
 
 
-@checks_arguments
 def in_view(points: Array) -> NDArray[np.bool_]:
     """Which of the points ``(N, 3)`` a picture shows: those within the range of 999 in 1000, widened by its size. A
     single stray point would make all others a dot."""
@@ -54,7 +49,6 @@ def in_view(points: Array) -> NDArray[np.bool_]:
     return np.asarray(((points >= low - size) & (points <= high + size)).all(axis=1))
 
 
-@checks_arguments
 def project_perspective(points: Array, cloud: Array, elevation_deg: float = 10.0) -> Array:
     """Project points ``(…, 3)`` to ``(…, 2)``, metres, by a pinhole camera to the front right of the middle of
     ``cloud``, ``elevation_deg`` above it and 2.2 diagonals away. The middle is drawn to scale. Points at one place are
@@ -71,13 +65,11 @@ def project_perspective(points: Array, cloud: Array, elevation_deg: float = 10.0
     return np.asarray(flat * (distance / (distance - away @ to_camera))[..., None])
 
 
-@checks_arguments
 def draw_bars(panel: Axes, bars: Array, cloud: Array, elevation_deg: float = 10.0, **look: Any) -> None:
     """Draw bars ``(M, 2, 3)`` into a panel as `project_perspective` shows them."""
     draw_lines(panel, project_perspective(bars, cloud, elevation_deg), **look)
 
 
-@checks_arguments
 def draw_judged_bars(
     panel: Axes, members: Array, bars: Array, right: NDArray[np.bool_], joints: Array | None = None
 ) -> None:
@@ -93,7 +85,6 @@ def draw_judged_bars(
     frame_perspective(panel, cloud, [bars.reshape(-1, 3)])
 
 
-@checks_arguments
 def draw_paths(panel: Axes, paths: Mapping[str, Array], cloud: Array, elevation_deg: float = 10.0) -> None:
     """Draw ``paths``, name of the colour → positions ``(N, 3)``, as `project_perspective` shows them, and frame them
     (`frame_perspective`). The truth is a wide line."""
@@ -104,7 +95,6 @@ def draw_paths(panel: Axes, paths: Mapping[str, Array], cloud: Array, elevation_
     frame_perspective(panel, cloud, list(paths.values()), elevation_deg)
 
 
-@checks_arguments
 def draw_flight(panel: Axes, members: Array, paths: Mapping[str, Array]) -> None:
     """Draw ``paths``, name of the colour → positions ``(N, 3)``, and the members ``(M, 2, 3)`` of a tower, as
     `project_perspective` shows them."""
@@ -112,7 +102,6 @@ def draw_flight(panel: Axes, members: Array, paths: Mapping[str, Array]) -> None
     draw_paths(panel, paths, members.reshape(-1, 3))
 
 
-@checks_arguments
 def frame_perspective(panel: Axes, cloud: Array, more: Sequence[Array] = (), elevation_deg: float = 10.0) -> None:
     """Set the limits of a panel to the projection (`project_perspective`) of ``cloud (N, 3)`` and ``more``, and draw a
     scale bar instead of axes."""
@@ -124,7 +113,6 @@ def frame_perspective(panel: Axes, cloud: Array, more: Sequence[Array] = (), ele
     panel.annotate(f"{BAR_M:g} m", (left + BAR_M / 2, low - 0.5), ha="center", va="top", fontsize=10)
 
 
-@checks_arguments
 @style()
 def figure_clouds(clouds: Mapping[str, tuple[Array, Array]]) -> Figure:
     """Draw the cloud that each method built, in its colour, over the true one, seen along y and along x.
@@ -171,13 +159,12 @@ def draw_tower(panels: Sequence[Axes], tower: "Tower", paths: Mapping[str, Array
         side.autoscale()
 
 
-POINTS_MAX, MARGIN_M = 60_000, 1.0
+MARGIN_M = 1.0
 VIEWS = (0, 2, 1), (1, 2, 0), (0, 1, 2)
 """Axes to the right, up, and towards the viewer, of each view."""
 VIEW_NAMES = "from the front", "from the side", "from above"
 
 
-@checks_arguments
 @style()
 def figure_flight(
     paths: Mapping[str, tuple[Trajectory, str]],
@@ -196,7 +183,7 @@ def figure_flight(
     around = cloud if len(cloud) > 1 else prior.position[0] + np.array([[-1.0], [1.0]])
     figure = Figure(figsize=(11, 5.6))
     space, over_time = figure.subplots(1, 2, width_ratios=(1, 1.2))
-    flat = project_perspective(thinned(cloud, POINTS_MAX), around)
+    flat = project_perspective(thinned(cloud, CLOUD_POINTS), around)
     space.scatter(*flat.T, s=0.6, lw=0, color=COLOURS["points"], label="cloud", rasterized=True)
     draw_bars(space, end_points(segments), around, color=COLOURS["bars found"], lw=1.8, label="bars found")
     if truth is not None:
@@ -216,7 +203,6 @@ def figure_flight(
     return figure
 
 
-@checks_arguments
 @style()
 def figure_bars(
     points: Array, segments: Segments, title: str, surface: NDArray[np.bool_] | None = None, sure: Array | None = None
@@ -228,7 +214,7 @@ def figure_bars(
     """
     surface, seen = np.zeros(len(points), dtype=bool) if surface is None else surface, in_view(points)
     points, surface = points[seen], surface[seen]
-    kept = [thinned(points[where], POINTS_MAX // 2) for where in (surface, ~surface)]
+    kept = [thinned(points[where], CLOUD_POINTS // 2) for where in (surface, ~surface)]
     kinds = [(cloud, name) for cloud, name in zip(kept, ("surface", "points"), strict=True) if len(cloud)]
     ends, cloud = end_points(segments), points[~surface] if len(segments) else points
     alpha = np.full(len(segments), 1.0) if sure is None else np.clip(sure, 0.25, 1.0)
@@ -246,7 +232,7 @@ def figure_bars(
             (low, left), (high, end) = ends[..., [up, right]].min(axis=(0, 1)), ends[..., [up, right]].max(axis=(0, 1))
             panel.set_xlim(left - MARGIN_M, end + MARGIN_M, auto=True)  # else one of the limits would be fixed
             panel.set_ylim(low - MARGIN_M, high + MARGIN_M, auto=True)
-    shown = thinned(cloud, POINTS_MAX // 2)
+    shown = thinned(cloud, CLOUD_POINTS // 2)
     space.plot(*project_perspective(shown, cloud).T, "o", ms=0.8, mew=0, color=COLOURS["points"], rasterized=True)
     draw_bars(space, ends, cloud, color=COLOURS["bars found"], lw=1.2)
     frame_perspective(space, cloud)

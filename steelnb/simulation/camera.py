@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from steelnb.core import rng
-from steelnb.core.arguments import checks_arguments
 from steelnb.core.kernels import njit
 from steelnb.core.types import Array, CameraImages, Floats, GreyImage, IntArray, Trajectory
 from steelnb.settings import CameraSettings
@@ -46,12 +45,15 @@ def intrinsics(camera: CameraSettings) -> Array:
     return np.array([[f, 0, (camera.columns - 1) / 2], [0, f, (camera.rows - 1) / 2], [0, 0, 1]])
 
 
-FORWARD = CameraSettings(columns=422, rows=320, fov_horizontal_rad=1.74, mount_m=(0.06, 0.0, 0.02))
-FORWARD = FORWARD.replace(fov_vertical_rad=2 * math.atan(FORWARD.rows / (2 * focal_px(FORWARD))))
+def with_square_pixels(camera: CameraSettings) -> CameraSettings:
+    """The camera with the vertical field of view that makes its pixels square."""
+    return camera.replace(fov_vertical_rad=2 * math.atan(camera.rows / (2 * focal_px(camera))))
+
+
+FORWARD = with_square_pixels(CameraSettings(columns=422, rows=320, fov_horizontal_rad=1.74, mount_m=(0.06, 0.0, 0.02)))
 """The forward camera of the report's drone, with square pixels and a global shutter."""
 
 
-@checks_arguments
 def photograph(tower: Tower, trajectory: Trajectory, camera: CameraSettings, seed: rng.Seed) -> CameraImages:
     """Images along a true trajectory, each rendered on access.
 

@@ -15,7 +15,6 @@ from scipy.ndimage import uniform_filter1d
 from scipy.spatial.transform import Rotation
 
 from steelnb.core import rng
-from steelnb.core.arguments import checks_arguments
 from steelnb.core.errors import CollisionError
 from steelnb.core.types import GRAVITY, Array, Imu, IntArray, Trajectory
 from steelnb.settings import FlightSettings, TowerSettings
@@ -53,7 +52,6 @@ flight."""
 STILL = (0.0, 0.0, 0.0)
 
 
-@checks_arguments
 def fly(tower: Tower, settings: FlightSettings, seed: rng.Seed, pilot: Pilot | None = None) -> tuple[Trajectory, Imu]:
     """True trajectory and noise-free IMU of a flight along the path of the settings, both at 125 Hz from t = 0.
 
@@ -330,8 +328,8 @@ def minimum_jerk(flight: FlightSettings, time_s: Array) -> tuple[Array, Array, A
     return pose, rate, step[k] / seconds[k, None] ** 2 * 60 * share * (1 - share) * (1 - 2 * share)
 
 
-VERTICES_MAX, TRIANGLES_MAX = 131_072, 174_762
-"""PyBullet's shared memory holds no larger mesh: 2¹⁷ vertices and 2¹⁹ indices."""
+VERTICES_MAX = 2**17
+"""PyBullet's shared memory holds no larger mesh, and no more than four times as many indices."""
 _rows: list[list[float]] = []
 """Reused for all meshes, so that memory is bounded by the largest."""
 _lock = threading.Lock()
@@ -339,7 +337,7 @@ _lock = threading.Lock()
 
 def mesh_parts(vertices: Array, triangles: IntArray) -> Iterator[tuple[Array, IntArray]]:
     """A mesh of vertices ``(V, 3)`` and triangles ``(T, 3)``, in parts that PyBullet holds."""
-    if len(vertices) <= VERTICES_MAX and len(triangles) <= TRIANGLES_MAX:
+    if max(len(vertices), len(triangles)) <= VERTICES_MAX:
         yield vertices, triangles
         return
     for begin in range(0, len(triangles), VERTICES_MAX // 3):

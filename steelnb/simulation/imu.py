@@ -6,7 +6,6 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from steelnb.core import rng
-from steelnb.core.arguments import checks_arguments
 from steelnb.core.types import GRAVITY, Array, Imu, Trajectory
 from steelnb.settings import ImuSettings
 
@@ -14,7 +13,6 @@ FILTER_GAIN = 0.5
 """Gain of the filter towards the accelerometer's vertical, 1/s: the library's default."""
 
 
-@checks_arguments
 def measured_imu(exact: Imu, settings: ImuSettings, seed: rng.Seed) -> Imu:
     """Readings with white noise, an initial bias, and a random walk of the bias.
 
@@ -48,7 +46,6 @@ class ImuErrors:
         return Imu(exact.stamp_s, force, rate)
 
 
-@checks_arguments
 def filtered_attitude(truth: Trajectory, imu: Imu) -> Trajectory:
     """The true trajectory with roll and pitch as a filter estimates them from the readings, at the same stamps.
 

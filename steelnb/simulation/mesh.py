@@ -14,9 +14,8 @@ GROUND, ON_PLATE = -1, -2
 """Used in place of a member's index: the ground, and a steel plate, which is not a bar. Constants of kernels (njit)."""
 TOUCH_M = 1e-5
 """Tolerance within which surfaces touch and a ray hits an edge; float32 cannot resolve smaller distances."""
-TRIANGLES_MAX = 1_000_000
-NEAR_M, STEP_M = 0.1, 0.05
-"""A triangle belongs to the nearest member, if its middle is within `NEAR_M` of points `STEP_M` apart on the axis."""
+NEAR_M = 0.1
+"""A triangle belongs to the nearest member, if its middle is this near to points on the axis, half as far apart."""
 APART_MAX = 0.25
 """The boxes of mesh and members may differ by this share of their diagonal: railings stand out, other units do not."""
 
@@ -39,8 +38,8 @@ def read_mesh(path: str, axes: Array) -> tuple[Array, IntArray, IntArray]:
     if not np.isfinite(corner).all():
         raise InputError(f"{path}: corners that are not finite; expected {form}")
     corner = corner[_height(corner) > TOUCH_M]
-    if not 0 < len(corner) <= TRIANGLES_MAX:
-        raise InputError(f"{path}: {len(corner)} triangles; expected {form}, at most {TRIANGLES_MAX}")
+    if not len(corner):
+        raise InputError(f"{path}: no triangles; expected {form}")
     _check_place(path, corner.reshape(-1, 3), axes.reshape(-1, 3))
     vertices, triangles = np.unique(corner.reshape(-1, 3), axis=0, return_inverse=True)
     return vertices, triangles.reshape(-1, 3), _owners(corner.mean(axis=1), axes)
@@ -66,6 +65,6 @@ def _height(corner: Array) -> Array:
 
 def _owners(middle: Array, axes: Array) -> IntArray:
     """The member near each of the points ``(T, 3)``, or `ON_PLATE`."""
-    points, member = points_along(axes[:, 0], axes[:, 1], STEP_M)
+    points, member = points_along(axes[:, 0], axes[:, 1], NEAR_M / 2)
     distance, nearest = cKDTree(points).query(middle)
     return np.where(distance <= NEAR_M, member[nearest], ON_PLATE)

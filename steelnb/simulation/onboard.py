@@ -4,7 +4,6 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from steelnb.core.arguments import checks_arguments
 from steelnb.core.types import Array, Imu, Scan, Trajectory
 from steelnb.settings import ExperimentSettings
 from steelnb.settings.report_plots import STEP_S
@@ -27,7 +26,6 @@ class OnboardSensors:
     ``imu``: all readings of the flight; its arrays are filled up to the present.
     """
 
-    @checks_arguments
     def __init__(self, settings: ExperimentSettings, tower: Tower) -> None:
         steps = round(settings.flight.duration_s / STEP_S)
         stamp_s = np.arange(steps + 1, dtype=np.float64) * STEP_S

@@ -5,9 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from steelnb.core import rng
-from steelnb.core.arguments import checks_arguments
 from steelnb.core.types import Array, IntArray, RangeScans, Scan, Trajectory
-from steelnb.settings import TofSettings
+from steelnb.settings import PreprocessSettings, TofSettings
 from steelnb.settings.world import fitted_calibration
 from steelnb.simulation.mesh import GROUND
 from steelnb.simulation.raycasting import cast_rays, make_scene, rays
@@ -17,13 +16,10 @@ from steelnb.simulation.truth import SliceCounter, Visibility
 
 RANGE_MIN_M = 0.1
 """Nearer returns saturate the sensor."""
-FLOOR_M = 0.3
-"""Points of a `View` below this height are dropped."""
 AMPLITUDE_SCATTER = 0.1
 """Relative standard deviation of a driver's noise estimate, which comes from a pixel's measured amplitude."""
 
 
-@checks_arguments
 def scan_flight(
     tower: Tower, trajectory: Trajectory, settings: TofSettings, seed: rng.Seed
 ) -> tuple[RangeScans, Visibility]:
@@ -124,7 +120,7 @@ class View:
 
 
 def take_view(camera: TofCamera, T_world_sensor: Array, noise: np.random.Generator) -> View:
-    """One scan at rest from a pose ``(4, 4)``, without the ground and without points measured below `FLOOR_M`."""
+    """One scan at rest from a pose ``(4, 4)``, without the ground and points measured below the usual floor."""
     measured, exposure = camera.measure(np.tile(T_world_sensor, (len(MOMENTS), 1, 1)), noise, noise)
     returned = np.isfinite(measured) & np.isfinite(exposure.exact_m)
     member, rotation = exposure.member[returned], T_world_sensor[:3, :3]
@@ -132,7 +128,7 @@ def take_view(camera: TofCamera, T_world_sensor: Array, noise: np.random.Generat
         ranges[returned][:, None].astype(np.float64) * (ray[returned] @ rotation.T) + T_world_sensor[:3, 3]
         for ranges, ray in ((measured, camera.reported_ray), (exposure.exact_m, camera.ray))
     )
-    kept = (member != GROUND) & (points[:, 2] >= FLOOR_M)
+    kept = (member != GROUND) & (points[:, 2] >= PreprocessSettings().floor_m)
     level = np.array([-rotation[0, 1], -rotation[1, 1], 0.0])
     return View(points[kept], surface[kept], member[kept], level / np.linalg.norm(level))
 
@@ -220,7 +216,6 @@ PIXELS = 400
 """Number of pixels around the optical axis whose ranges are averaged at each distance."""
 
 
-@checks_arguments
 def measure_calibration(settings: TofSettings, seed: rng.Seed) -> dict[str, float]:
     """Scale and offset of the camera of a seed, with their standard deviations, as overrides of `TofSettings`: a line
     fitted to mean ranges at `DISTANCES_M`.

@@ -8,7 +8,6 @@ from typing import Literal
 
 import numpy as np
 
-from steelnb.core.arguments import checks_arguments
 from steelnb.core.types import Array, IntArray
 from steelnb.settings import TowerSettings
 from steelnb.settings.world import Kind
@@ -134,7 +133,6 @@ class Tower:
         return self.vertices[self.triangles[self.triangle_member == ON_PLATE]]
 
 
-@checks_arguments
 def build_tower(settings: TowerSettings | None = None) -> Tower:
     """The tower of the settings (default: the preset ``tapered``), standing on z = 0 of the world frame, metres.
 
