@@ -26,7 +26,7 @@ from scipy.spatial import cKDTree
 
 from steelnb.core import rng
 from steelnb.core.types import Array, IntArray, Scan
-from steelnb.odometry.report_segments import FLOOR_M, NO_FLOOR_M, sorted_segments
+from steelnb.odometry.report_segments import NO_FLOOR_M, sorted_segments
 from steelnb.points import preprocess_scan
 from steelnb.settings import ExperimentSettings, HoughSettings, TowerSettings
 from steelnb.settings.presets import sensor_tables
@@ -110,7 +110,7 @@ def view(tower: Tower, poses: Array, published: Array) -> Views:
         found = found.transformed(T)
         lines.append(count)
         for start, end in zip(found.start, found.end, strict=True):
-            if max(start[2], end[2]) > FLOOR_M:
+            if max(start[2], end[2]) > settings.odometry.preprocess.floor_m:
                 same = matching(start, end, published)
                 unknown[k] += not len(same)
                 segment += same

@@ -23,7 +23,7 @@ from steelnb.core.types import Array, Flight, Scan, Segments, Trajectory
 from steelnb.settings import OdometrySettings
 
 SPACING_M = 0.05
-Outcome = tuple[Array, str, int, int]
+FoundPose = tuple[Array, str, int, int]
 """Pose ``T_world_drone (4, 4)``, the reason if the scan was not used (else empty), number of matches, and number of
 directions in which the scan does not determine the pose."""
 
@@ -99,7 +99,7 @@ class BaseOdometry(ABC):
         )  # fmt: skip
 
     @abstractmethod
-    def _update(self, scan: Scan, prior: Array, watch: Stopwatch) -> Outcome:
+    def _update(self, scan: Scan, prior: Array, watch: Stopwatch) -> FoundPose:
         """Correct the pose at one scan, and end each stage with a lap of the ``watch``."""
 
     def _covariance(self, T_world_drone: Array) -> Array | None:

@@ -8,7 +8,7 @@ import numpy as np
 from steelnb.core.geometry import transform_points
 from steelnb.core.types import Array, Imu, IntArray, Scan
 from steelnb.fusion.point_to_bar import world_points
-from steelnb.odometry.base import BaseOdometry, Outcome, Stopwatch
+from steelnb.odometry.base import BaseOdometry, FoundPose, Stopwatch
 from steelnb.odometry.inertial import make_prediction
 from steelnb.odometry.near_side import NearSide, parted, pixels_on_surfaces, within_plane
 from steelnb.odometry.prediction import LastingError, RegisteredPose
@@ -115,14 +115,14 @@ class CloudOdometry(BaseOdometry):
         self.near_side = NearSide()
         self._surfaces = np.zeros((2, 0, 3))  # points on wide surfaces, the last that `preprocessed` returned; normals
 
-    def _update(self, scan: Scan, prior: Array, watch: Stopwatch) -> Outcome:
+    def _update(self, scan: Scan, prior: Array, watch: Stopwatch) -> FoundPose:
         T_world_drone, reason, matches, unobserved = self.corrected(scan, prior, watch)
         return self.prediction.levelled(T_world_drone), reason, matches, unobserved
 
     def _covariance(self, T_world_drone: Array) -> Array | None:
         return self.prediction.covariance(T_world_drone)
 
-    def corrected(self, scan: Scan, prior: Array, watch: Stopwatch) -> Outcome:
+    def corrected(self, scan: Scan, prior: Array, watch: Stopwatch) -> FoundPose:
         """What `update` does with a checked scan; also for an odometry that falls back on this one."""
         T_init = self.prediction.pose(prior, scan.stamp_s, CLOUD_ERROR)
         if self.style.near_side:

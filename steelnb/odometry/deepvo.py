@@ -13,7 +13,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from steelnb.core.errors import InputError
 from steelnb.core.files import new_file, reading
 from steelnb.core.types import Array, Scan
-from steelnb.odometry.base import BaseOdometry, Outcome, Stopwatch
+from steelnb.odometry.base import BaseOdometry, FoundPose, Stopwatch
 from steelnb.settings import DeepVoSettings, OdometrySettings
 from steelnb.settings.presets import PRESETS
 
@@ -170,7 +170,7 @@ class DeepVoOdometry(BaseOdometry):
         self._last: tuple[float, Array, Array] | None = None  # stamp, points and attitude of the last scan with returns
         self._position: Array | None = None  # position of the sensor, world frame
 
-    def _update(self, scan: Scan, prior: Array, watch: Stopwatch) -> Outcome:
+    def _update(self, scan: Scan, prior: Array, watch: Stopwatch) -> FoundPose:
         T_world_sensor = prior @ self.T_drone_sensor
         R, lever = T_world_sensor[:3, :3], prior[:3, :3] @ self.T_drone_sensor[:3, 3]
         if self._position is None:

@@ -23,7 +23,7 @@ from steelnb.fusion.adjustment.problem import Problem, pose_size
 from steelnb.fusion.adjustment.smooth import adjust
 from steelnb.fusion.bars import VOXEL_M
 from steelnb.fusion.mapped_scans import MappedScans, insert_scan
-from steelnb.odometry.base import BaseOdometry, Outcome, Stopwatch
+from steelnb.odometry.base import BaseOdometry, FoundPose, Stopwatch
 from steelnb.odometry.clouds import CloudOdometry
 from steelnb.odometry.inertial import InertialPrediction
 from steelnb.odometry.prediction import LastingError, RegisteredPose
@@ -80,7 +80,7 @@ class FaceOdometry(BaseOdometry):
         self._adopt_s, self._adjusted_from = np.inf, np.eye(4)
         self._waiting: list[tuple[Scan, Array, Array, Array]] = []  # keyframes since the start of the last adjustment
 
-    def _update(self, scan: Scan, prior: Array, watch: Stopwatch) -> Outcome:
+    def _update(self, scan: Scan, prior: Array, watch: Stopwatch) -> FoundPose:
         if not scan.stamp_s > self._stamp_s:  # assume the usual rate for scans without stamps
             scan = Scan(self._stamp_s + DRIFT_PERIOD_S, scan.points, scan.fault)
         self._stamp_s = scan.stamp_s

@@ -10,7 +10,7 @@ from collections.abc import Callable
 import numpy as np
 
 from steelnb.core.types import Array, Scan
-from steelnb.odometry.base import BaseOdometry, Outcome, Stopwatch
+from steelnb.odometry.base import BaseOdometry, FoundPose, Stopwatch
 from steelnb.settings import LibrarySettings
 
 POINTS_MIN = 10
@@ -37,7 +37,7 @@ class PeerOdometry(BaseOdometry):
     _register: Register | None = None
     _last_prior: Array | None = None  # T_world_sensor of the last scan by the prior
 
-    def _update(self, scan: Scan, prior: Array, watch: Stopwatch) -> Outcome:
+    def _update(self, scan: Scan, prior: Array, watch: Stopwatch) -> FoundPose:
         prior, points = prior @ self.T_drone_sensor, scan.points.reshape(-1, 3)
         points = np.ascontiguousarray(points[np.isfinite(points).all(axis=1)])
         matches, reason = 0, ""

@@ -13,7 +13,7 @@ from scipy.spatial import cKDTree
 from steelnb.core.geometry import exp_about, transform_points
 from steelnb.core.robust import geman_mcclure
 from steelnb.core.types import Array, CameraImages, GreyImage, Imu, IntArray, Scan, project, unproject
-from steelnb.odometry.base import BaseOdometry, Outcome, Stopwatch
+from steelnb.odometry.base import BaseOdometry, FoundPose, Stopwatch
 from steelnb.odometry.inertial import make_prediction
 from steelnb.odometry.orb_features import SCALE, Features, features_with_depth, match
 from steelnb.odometry.prediction import PRIOR_SIGMA, RegisteredPose
@@ -248,7 +248,7 @@ class OrbOdometry(BaseOdometry):
         self.prediction = make_prediction(PRIOR_SIGMA, 0.0, self.settings.inertial, imu)
         self.free = FREE["se3" if self.prediction.tilted else "xyz_yaw"]
 
-    def _update(self, scan: Scan, prior: Array, watch: Stopwatch) -> Outcome:
+    def _update(self, scan: Scan, prior: Array, watch: Stopwatch) -> FoundPose:
         number = self.images.at(scan.stamp_s)
         image = None if number is None else self.images.images[number]
         T_predicted = self.prediction.pose(prior, scan.stamp_s)

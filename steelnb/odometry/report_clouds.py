@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from steelnb.core.geometry import transform_points
 from steelnb.core.types import Array, Scan
-from steelnb.odometry.base import BaseOdometry, Outcome, Stopwatch
+from steelnb.odometry.base import BaseOdometry, FoundPose, Stopwatch
 from steelnb.points import VoxelMap, voxel_grid
 from steelnb.points.covariances import neighbour_covariances, regularised
 from steelnb.points.kdtree import build_kdtree
@@ -69,7 +69,7 @@ class ReportCloudOdometry(BaseOdometry):
         self.first = np.zeros((0, 3))  # the first scan is downsampled together with the second one
         self.correction = np.eye(4)
 
-    def _update(self, scan: Scan, prior: Array, watch: Stopwatch) -> Outcome:
+    def _update(self, scan: Scan, prior: Array, watch: Stopwatch) -> FoundPose:
         points = self.placed(scan, prior)
         watch.lap("preprocess")
         if not len(points):

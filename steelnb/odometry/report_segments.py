@@ -13,7 +13,7 @@ import numpy as np
 
 from steelnb.core.types import Array, Scan, Segments
 from steelnb.hough import detect_lines
-from steelnb.odometry.base import BaseOdometry, Outcome, Stopwatch
+from steelnb.odometry.base import BaseOdometry, FoundPose, Stopwatch
 from steelnb.odometry.segments import GAIN, across_of, timed
 from steelnb.points import preprocess_scan
 from steelnb.settings import HoughSettings, OdometrySettings, ReportSegmentSettings
@@ -48,7 +48,7 @@ class ReportSegmentOdometry(BaseOdometry):
         self.preprocess = self.settings.preprocess.replace(floor_m=NO_FLOOR_M)
         self.bars, self.error, self.lines = ReportBars(), np.zeros(3), 0
 
-    def _update(self, scan: Scan, prior: Array, watch: Stopwatch) -> Outcome:
+    def _update(self, scan: Scan, prior: Array, watch: Stopwatch) -> FoundPose:
         points = preprocess_scan(scan, prior, np.eye(4), self.preprocess)
         watch.lap("preprocess")
         (found, self.lines), hough_s = timed(sorted_segments, points, self.settings.hough)

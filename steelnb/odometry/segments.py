@@ -14,7 +14,7 @@ from steelnb.core.robust import geman_mcclure
 from steelnb.core.types import Array, Scan, Segments
 from steelnb.fusion import SegmentMap, associate
 from steelnb.hough import detect_segments_with
-from steelnb.odometry.base import BaseOdometry, Outcome, Stopwatch
+from steelnb.odometry.base import BaseOdometry, FoundPose, Stopwatch
 from steelnb.odometry.near_side import NearSide
 from steelnb.odometry.prediction import PRIOR_SIGMA, DriftPrediction, RegisteredPose
 from steelnb.points import preprocess_scan
@@ -40,7 +40,7 @@ class SegmentOdometry(BaseOdometry):
         self.prediction = DriftPrediction(PRIOR_SIGMA if self.with_yaw else None)
         self.near_side = NearSide()
 
-    def _update(self, scan: Scan, prior: Array, watch: Stopwatch) -> Outcome:
+    def _update(self, scan: Scan, prior: Array, watch: Stopwatch) -> FoundPose:
         s, T_world_drone = self.settings, self.prediction.pose(prior, scan.stamp_s)
         points = preprocess_scan(scan, T_world_drone, self.T_drone_sensor, s.preprocess)
         if self.with_yaw:

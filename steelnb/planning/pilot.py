@@ -4,7 +4,6 @@ from collections.abc import Callable, Iterable
 
 import numpy as np
 
-from steelnb.core.checks import check_length, check_sequence, checked_kind, checked_number, checked_pose
 from steelnb.core.estimates import OdometryStep
 from steelnb.core.types import Array, Imu, Scan
 from steelnb.odometry import make_odometry
@@ -40,12 +39,11 @@ class OnboardPilot:
         """Update odometry and map with the new ``scans``, each with the drifting pose at its stamp, and decide.
 
         Returns the velocity ``(3,)``, m/s, along the axes of the levelled drone and the rate of the heading, rad/s;
-        None to end the flight. ``T_world_drone_prior (4, 4)`` is the drifting pose now. Raises `InputError`, before a
-        scan is used.
+        None to end the flight. ``T_world_drone_prior (4, 4)`` is the drifting pose now. Raises `InputError`.
         """
-        now_s, T = checked_number(now_s, "now_s"), checked_pose(T_world_drone_prior, "T_world_drone_prior")
-        for scan, prior in [_checked_pair(each, f"scans[{k}]") for k, each in enumerate(scans)]:
+        for scan, prior in scans:
             self._see(scan, prior)
+        T = T_world_drone_prior
         # Dead reckoning since the last scan.
         if self._last_prior is not None:
             T = self.steps[-1].T_world_drone @ np.linalg.inv(self._last_prior) @ T
@@ -63,10 +61,3 @@ class OnboardPilot:
         T = self.steps[-1].T_world_drone
         points = preprocess_scan(scan, T, self.settings.tof.T_drone_sensor, self.settings.odometry.preprocess)
         self.planner.see(points, T, self.odometry.map_segments())
-
-
-def _checked_pair(pair: tuple[Scan, Array], name: str) -> tuple[Scan, Array]:
-    """A scan and the drifting pose at its stamp. Raises `InputError`."""
-    check_sequence(pair, name, of := "a scan and its drifting pose")
-    check_length(pair, name, 2, of)
-    return checked_kind(pair[0], f"{name}[0]", Scan), checked_pose(pair[1], f"{name}[1]")

@@ -54,7 +54,7 @@ def test_a_class_is_found_by_its_module_and_by_its_file(here: Path):
 @pytest.mark.parametrize(
     ("name", "says"),
     [
-        ("unguarded:Held", r"module 'unguarded' ends the process with SystemExit\(0\); expected its program below `if"),
+        ("unguarded:Held", r"module 'unguarded' cannot be imported: SystemExit\(0\)"),
         ("owner:Abstract", "owner:Abstract: an abstract class; expected one with update"),
         ("owner:Positional", "its constructor needs T_drone_sensor; expected T_drone_sensor, imu, images, by name"),
         ("none.py:Held", "none.py:Held: no file none.py; expected FILE.py:CLASS"),
@@ -87,49 +87,24 @@ def test_a_class_changes_neither_mount_nor_readings_nor_scans_of_a_flight(flight
     assert set(found.reason) == {"not used"}, "on one line"
 
 
-def ending(code, *where):
-    """A class whose methods ``where`` end the process."""
-
-    class Ending:
-        def update(self, scan, T_world_drone_prior):
-            return OdometryStep(scan.stamp_s, T_world_drone_prior)
-
-    def end(*_):
-        raise SystemExit(code)
-
-    for name in where:
-        setattr(Ending, name, end)
-    return Ending
-
-
-def test_a_class_that_ends_the_process_is_refused_but_a_signal_ends_it(flight):
-    settings = OdometrySettings.preset("best")
-    for name, says in {
-        "__init__": "Ending: its constructor ends", "update": "Ending.update, scan 0: it ends",
-        "map_points": r"Ending.map_points\(\) ends",
-    }.items():  # fmt: skip
-        for code in (None, 0, 3, "done"):
-            with pytest.raises(InputError, match=f"{says} the process with SystemExit"):
-                correct(flight, settings, own=ending(code, name))
-    with pytest.raises(SystemExit):
-        correct(flight, settings, own=ending(143, "update"))
+class Kept:
+    def update(self, scan, T_world_drone_prior):
+        return OdometryStep(scan.stamp_s, T_world_drone_prior)
 
 
 @pytest.mark.parametrize("name", ["__init__", "update", "map_points"])
 def test_a_class_that_fails_is_refused_with_its_line(flight, name):
-    failing = ending(0)
+    class Failing(Kept):
+        pass
 
-    def fail(*_):
-        return {}["pose"]
-
-    setattr(failing, name, fail)
-    with pytest.raises(InputError, match=r"Ending.*raises KeyError: 'pose' \(.*test_plugins.py, line \d+\)") as found:
-        correct(flight, OdometrySettings.preset("best"), own=failing)
+    setattr(Failing, name, lambda *_: {}["pose"])
+    with pytest.raises(InputError, match=r"Failing.*raises KeyError: 'pose' \(.*test_plugins.py, line \d+\)") as found:
+        correct(flight, OdometrySettings.preset("best"), own=Failing)
     assert isinstance(found.value.__cause__, KeyError)
 
 
 def test_bars_that_are_not_finite_are_refused(flight):
-    odometry = ending(0)()
+    odometry = Kept()
     odometry.map_segments = lambda: Segments(np.full((1, 3), np.nan), np.ones((1, 3)), np.ones(1), np.ones(1))
-    with pytest.raises(InputError, match=r"Ending.map_segments\(\): Segments.start\[0, 0\] = nan"):
+    with pytest.raises(InputError, match=r"Segments\.start\[0, 0\] = nan"):
         run(replace(flight), odometry)

@@ -1,11 +1,8 @@
 """Figures show what they name, fill their page, and keep what is drawn together apart by colour."""
 
-import itertools
-
 import numpy as np
 import pandas as pd
 import pytest
-import seaborn as sns
 from matplotlib.colors import to_rgb
 
 from steelnb import plots
@@ -13,32 +10,6 @@ from steelnb.core.errors import InputError
 from steelnb.core.types import Segments, Trajectory
 from steelnb.plots.charts import error_dots, require_runs
 from steelnb.plots.draw import figure_bars, figure_flight, in_view
-
-TOGETHER = {
-    "bands": ["draws", "draw", "report"],
-    "segments": ["none", "report-segments", "average", "least_squares", "report"],
-    "yaw": ["none", "report-segments", "average", "least_squares_yaw"],
-    "clouds": ["none", "report-icp", "icp", "best", "report"],
-    "3-DoF": ["none", "report-icp-3dof", "icp-3dof", "report"],
-    "GICP": ["none", "report-gicp", "gicp", "report"],
-}
-"""Names of curves that one panel shows."""
-
-
-def lightness_and_hue(colour: str) -> np.ndarray:
-    """CIE 1976 L*a*b* coordinates (3,) of a colour, in which a distance of 10 is seen at once."""
-    rgb = np.array(to_rgb(colour))
-    linear = np.where(rgb > 0.04045, ((rgb + 0.055) / 1.055) ** 2.4, rgb / 12.92)
-    to_xyz = [[0.4339, 0.3762, 0.1899], [0.2126, 0.7152, 0.0722], [0.0178, 0.1095, 0.8727]]  # over the white of D65
-    x, y, z = np.cbrt(np.maximum(to_xyz @ linear, 1e-9))
-    return np.array([116 * y - 16, 500 * (x - y), 200 * (y - z)])
-
-
-@pytest.mark.parametrize("names", TOGETHER.values(), ids=TOGETHER)
-def test_curves_of_one_panel_have_colours_that_differ(names):
-    for one, other in itertools.combinations(names, 2):
-        apart = np.linalg.norm(lightness_and_hue(plots.COLOURS[one]) - lightness_and_hue(plots.COLOURS[other]))
-        assert apart > 20, (one, other)
 
 
 def test_points_at_one_place_are_drawn_beside_a_path():
@@ -63,38 +34,6 @@ def test_a_cloud_lies_over_the_true_one_and_the_legend_names_both(clouds):
             assert drawn == [to_rgb(plots.COLOURS["truth"]), to_rgb(plots.COLOURS[method])]
     named = [text.get_text() for text in figure.legends[0].get_texts()]
     assert named == ["GICP", "best", "at the true poses"]
-
-
-@pytest.mark.parametrize("shape", [(3, 1), (1, 3)], ids=["flat", "tall"])
-def test_clouds_leave_no_gap_between_title_panels_and_legend(clouds, shape):
-    wide, tall = shape
-    stretched = {name: tuple(points * [wide, wide, tall] for points in pair) for name, pair in clouds.items()}
-    figure = plots.figure_clouds(stretched)
-    title = figure.suptitle("title")
-    figure.draw_without_rendering()
-    boxes = [panel.get_tightbbox() for panel in figure.axes]
-    inch = figure.dpi
-    assert 0 < title.get_window_extent().y0 - max(box.y1 for box in boxes) < 0.5 * inch
-    assert 0 < min(box.y0 for box in boxes) - figure.legends[0].get_window_extent().y1 < 0.5 * inch
-    assert max(box.x1 for box in boxes) - min(box.x0 for box in boxes) > 0.85 * figure.bbox.width
-
-
-def test_a_bar_of_colours_replaces_the_legend_and_points_beyond_its_end():
-    rows = pd.DataFrame({"x": [0, 1, 2], "error": [0.1, 0.5, 3.0]})
-    grid = sns.relplot(rows, x="x", y="x", hue="error", palette="viridis", hue_norm=(0, 1))
-    plots.gather_bar(grid.figure, "error (m)", 1)
-    assert not grid.figure.legends
-    bar = grid.figure.axes[-1]
-    assert bar.get_ylabel() == "error (m)"
-    assert bar.get_ylim() == (0, 1)
-    assert bar._colorbar.extend == "max"
-
-
-def test_rows_of_methods_are_named_as_in_the_legends_of_other_figures():
-    methods = ["icp-3dof", "faces"]
-    rows = pd.DataFrame({"method": methods * 2, "ate_rmse_m": [0.1, 0.2, 0.3, 0.4], "raw_ate_rmse_m": 0.5})
-    grid = error_dots(rows.astype({"method": pd.CategoricalDtype(methods)}), "method", methods)
-    assert [tick.get_text() for tick in grid.axes.flat[0].get_yticklabels()] == [plots.LABELS[each] for each in methods]
 
 
 def test_an_error_of_0_is_drawn_and_a_noise_is_named_as_it_is():

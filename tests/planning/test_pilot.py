@@ -5,7 +5,6 @@ import pytest
 
 from steelnb import experiment
 from steelnb.core.errors import CollisionError, InputError
-from steelnb.core.types import Scan
 from steelnb.odometry import make_odometry, run
 from steelnb.planning import OnboardPilot, Planner
 from steelnb.settings import ExperimentSettings, FlightSettings
@@ -103,30 +102,6 @@ def test_a_pilot_that_ends_the_flight_ends_it():
 def test_a_collision_with_the_ground_states_its_position():
     with pytest.raises(CollisionError, match=r"planned flight .* touches the structure or the ground at t = "):
         fly(build_tower(), FlightSettings.preset("planned", 20.0), 1, lambda true, imu: Command((0.0, 0.0, -1.0), 0.0))
-
-
-SCAN = Scan(0.0, np.zeros((4, 4, 3)))
-BAD_CALLS = (
-    ((0.0, None, np.eye(4)), "scans = None: expected a sequence"),
-    ((0.2, [SCAN], np.eye(4)), r"scans\[0\]: Scan; expected a sequence of a scan and its drifting pose"),
-    ((0.2, [(SCAN, np.eye(4)), (SCAN,)], np.eye(4)), r"scans\[1\]: 1; expected 2, a scan and its drifting pose"),
-    ((0.2, [(SCAN, np.eye(4)), (SCAN, np.eye(3))], np.eye(4)), r"scans\[1\]\[1\]: an array of shape \(3, 3\)"),
-    ((0.2, [(np.eye(3), np.eye(4))], np.eye(4)), r"scans\[0\]\[0\] = ndarray: expected Scan"),
-    ((0.4, [(SCAN, np.eye(4))], "x"), "T_world_drone_prior: str"),
-    ((0.4, [(SCAN, np.eye(4))], 2 * np.eye(4)), "T_world_drone_prior: "),
-    ((np.nan, [(SCAN, np.eye(4))], np.eye(4)), "now_s = nan: expected a finite number"),
-)
-
-
-def test_a_pilot_checks_all_that_it_is_given_before_it_uses_a_scan():
-    settings = ExperimentSettings.preset("planned", "none", "best", duration_s=1.0)
-    pilot = OnboardPilot(settings, OnboardSensors(settings, build_tower()).imu)
-    for given, words in BAD_CALLS:
-        with pytest.raises(InputError, match=f"^{words}"):
-            pilot(*given)
-    assert not pilot.steps
-    assert not pilot.decisions
-    assert pilot(0.0, iter([(SCAN, np.eye(4))]), np.eye(4)) is not None
 
 
 def test_only_planned_flights_have_a_planner():
