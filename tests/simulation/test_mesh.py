@@ -103,7 +103,7 @@ def test_meshes_that_cannot_be_the_tower_are_refused(tmp_path):
     (tmp_path / "half.ply").write_bytes(ply[: len(ply) // 2])
     (tmp_path / "pole.obj").write_text("v 0 0 0\n")
     for name in ("half.stl", "empty.stl", "words.stl", "points.ply"):
-        refused(name, f"{name}: (0 triangles; expected|not) an STL or PLY file of triangles")
+        refused(name, f"{name}: (no triangles; expected|not) an STL or PLY file of triangles")
     refused("half.ply", "half.ply: not an STL or PLY file of triangles: PLY is unexpected length")
     refused("pole.obj", "pole.obj': expected FILE.stl or FILE.ply")
     refused("none.stl", "none.stl: does not exist; expected a mesh")
@@ -118,7 +118,7 @@ def test_meshes_that_cannot_be_the_tower_are_refused(tmp_path):
     refused("y_up.stl", "expected a mesh in metres, world frame, z up")
     flat = trimesh.Trimesh(LISTED.vertices, np.repeat(LISTED.triangles[:, :1], 3, axis=1), process=False)
     flat.export(tmp_path / "flat.stl")
-    refused("flat.stl", "flat.stl: 0 triangles; expected an STL or PLY file of triangles")
+    refused("flat.stl", "flat.stl: no triangles; expected an STL or PLY file of triangles")
     broken = bytearray(whole)
     broken[96:100] = b"\xff\xff\xff\x7f"  # NaN
     (tmp_path / "nan.stl").write_bytes(broken)
