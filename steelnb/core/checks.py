@@ -25,7 +25,7 @@ SAME_S = 1e-6
 """Stamps that differ by less than a microsecond are the same, at any epoch."""
 STAMP_MAX_S = 1e11
 """The year 5138. Stamps beyond are no seconds: Unix times in milliseconds are larger."""
-INTEGER_MAX = 2**63 - 1
+INTEGER_MAX = int(np.iinfo(np.int64).max)
 _CLOUD, _RIGID = "(N, 3) or (H, W, 3)", "a rigid transform (4, 4)"
 
 
@@ -130,12 +130,14 @@ def checked_shape(values: Any, name: str, shape: tuple[int, ...]) -> NDArray[Any
     return array
 
 
-def checked_integers(values: object, name: str, shape: tuple[str | int, ...], low: int, below: int = 2**63) -> IntArray:
-    """Whole numbers from ``low`` to less than ``below`` as int64 in an array of a shape, as for `checked_array`."""
+def checked_integers(
+    values: object, name: str, shape: tuple[str | int, ...], low: int, high: int = INTEGER_MAX
+) -> IntArray:
+    """Whole numbers from ``low`` to ``high`` as int64 in an array of a shape, as for `checked_array`."""
     array = checked_array(values, name, shape)
-    off = array[(array < low) | (array >= below) | (array % 1 != 0)]
+    off = array[(array < low) | (array > high) | (array % 1 != 0)]
     if off.size:
-        raise InputError(f"{name}: {off[0]:g}; expected whole numbers of at least {low} and below {below}")
+        raise InputError(f"{name}: {off[0]:g}; expected whole numbers from {low} to {high}")
     return array.astype(np.int64)
 
 

@@ -314,7 +314,7 @@ class Lines:
             anchor=checks.checked_array(self.anchor, "Lines.anchor", (rows, 3)),
             direction=checks.checked_array(self.direction, "Lines.direction", (rows, 3)),
             count=checks.checked_integers(self.count, "Lines.count", (rows,), 0),
-            label=checks.checked_integers(self.label, "Lines.label", ("N",), -1, rows),
+            label=checks.checked_integers(self.label, "Lines.label", ("N",), -1, rows - 1),
         )
 
     def __len__(self) -> int:
