@@ -10,7 +10,6 @@ import math
 import numpy as np
 
 from steelnb.core.checks import check_length, checked_integer, checked_number, checked_points
-from steelnb.core.errors import InputError
 from steelnb.core.kernels import njit
 from steelnb.core.types import Array, Lines, Segments
 from steelnb.hough.lines import default_dx, detect_lines
@@ -267,15 +266,13 @@ def cut_and_sort(
     """
     points = checked_points(points)
     check_length(lines.label, "lines.label", len(points), "one a point")
-    if lines.label.max(initial=-1) >= len(lines):
-        raise InputError(f"lines.label: {lines.label.max()}; expected less than the number of lines, {len(lines)}")
-    checked_number(gap_max, "gap_max", above=0, infinite=True)
+    gap_max = checked_number(gap_max, "gap_max", above=0, infinite=True)
     checked_integer(min_points, "min_points", 0)
-    checked_number(pca_ratio_min, "pca_ratio_min", 0, 1)
-    checked_number(radius_max, "radius_max", above=0, infinite=True)
-    checked_number(density_min, "density_min", 0)
-    checked_number(length_min, "length_min", 0)
-    checked_number(merge_distance, "merge_distance", 0)
+    pca_ratio_min = checked_number(pca_ratio_min, "pca_ratio_min", 0, 1)
+    radius_max = checked_number(radius_max, "radius_max", above=0, infinite=True)
+    density_min = checked_number(density_min, "density_min", 0)
+    length_min = checked_number(length_min, "length_min", 0)
+    merge_distance = checked_number(merge_distance, "merge_distance", 0)
     order = np.argsort(lines.label, kind="stable")
     begin = np.searchsorted(lines.label[order], np.arange(len(lines) + 1))
     px, py, pz = np.ascontiguousarray(points.T)
