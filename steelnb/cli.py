@@ -76,8 +76,9 @@ def run(
         Path | None, typer.Option(metavar="FILE.tum", help="Poses of another program, scored with ours.")
     ] = None,
     truth: Annotated[str | None, typer.Option(help="Trajectory file of the true poses, for scores only.")] = None,
-    range_max: Annotated[
-        float | None, typer.Option(help="Range of the sensor in metres. Default: from the first scans.")
+    range_m: Annotated[
+        float | None,
+        typer.Option("--range", "--range-max", help="Range of the sensor in metres. Default: from the first scans."),
     ] = None,
     smooth: Annotated[
         bool, typer.Option("--smooth", metavar=NO_VALUE, help="Adjust all poses and bars jointly at the end.")
@@ -86,44 +87,66 @@ def run(
     force: Force = False,
     scans: Annotated[str | None, more(help="Topic or sub-folder of the scans.")] = None,
     poses: Annotated[str | None, more(help="Topic or trajectory file of poses, or frames: 'odom>base_link'.")] = None,
-    imu: Annotated[str | None, more(help="Topic of the IMU. Default: the first that measures all.")] = None,
+    imu: Annotated[str | None, more(help="Topic of the IMU, or none.")] = None,
     mount: Annotated[
         str | None,
-        more(
-            metavar="X,Y,Z,ROLL,PITCH,YAW",
-            help="Pose of the sensor on the drone, in metres and degrees. Default: from tf, else zero.",
-        ),
+        more(metavar="X,Y,Z,ROLL,PITCH,YAW", help="Pose of the sensor on the drone, in metres and degrees."),
     ] = None,
-    clock: Annotated[str, more(help="stamps of the messages, or bag: times of recording.")] = "stamps",
-    time_offset: Annotated[float, more(metavar="SECONDS", help="Added to the stamps of the scans.")] = 0.0,
+    optical: Annotated[str | None, more(metavar="yes|no", help="Whether z is ahead in the sensor's frame.")] = None,
+    world: Annotated[str | None, more(metavar="enu|ned", help="ned: poses have z down.")] = None,
+    scans_in: Annotated[
+        str | None, more(metavar="sensor|world", help="world: clouds of a folder are placed already.")
+    ] = None,
+    clock: Annotated[str | None, more(metavar="header|bag", help="bag: times of recording, not header stamps.")] = None,
+    time_offset: Annotated[float | None, more(metavar="SECONDS", help="Added to the stamps of the scans.")] = None,
+    columns: Annotated[
+        str | None, more(metavar="t,x,y,z", help="Names of a text file's columns; _ for one to skip.")
+    ] = None,
+    unit: Annotated[str | None, more(metavar="mm|0.25mm|ft", help="Unit of points or depth images.")] = None,
+    stamps: Annotated[
+        str | None, more(metavar="us|ns|FILE|in-order", help="Stamps of a folder: their unit, a file, or by order.")
+    ] = None,
+    quaternion: Annotated[str | None, more(metavar="wxyz", help="Order in a trajectory without names.")] = None,
+    calib: Annotated[Path | None, more(metavar="FILE", help="KITTI's calib.txt, if poses are the camera's.")] = None,
 ) -> None:
     """Correct the drift of a recorded flight.
 
-    Writes corrected poses, bars, structure, a table and figures to a new or empty folder.
+    Writes corrected poses, bars, structure, a table and figures to a new or empty folder. Options on the data may stand
+    in a recording.toml beside them, too.
     """
     with progress() as (on_stage, on_share):
         from steelnb.io import read_flight, read_trajectory
+        from steelnb.io.recordings import folder_of
         from steelnb.odometry import load_odometry
         from steelnb.recording.evaluate import truth_of
         from steelnb.recording.run import run_recording
-        from steelnb.recording.settings import Scene, parse_mount, recording_settings, settings_line, voxel_warning
+        from steelnb.recording.settings import Scene, recording_settings, settings_line, voxel_warning
         from steelnb.recording.summary import opened_lines
+        from steelnb.settings import read_options
 
         own = load_odometry(odometry) if ":" in odometry else None
+        stated = read_options(
+            folder_of(recording), scans=scans, poses=poses, imu=imu, truth=truth, mount=_numbers("--mount", mount),
+            optical=_flag("--optical", optical), world=world, scans_in=scans_in, clock=clock, time_offset=time_offset,
+            columns=columns and tuple(columns.split(",")), unit=unit, stamps=stamps, quaternion=quaternion,
+            calib=calib and str(calib), range=range_m,
+        )  # fmt: skip
         also = {"smooth": "--smooth"} if smooth else {}
-        also |= {} if range_max is None else {"preprocess.crop_m": "--range-max"}
+        also |= {} if range_m is None else {"preprocess.crop_m": "--range"}
         options: dict[str, Any] = {"overrides": _overrides(changed, also) | ({"smooth": True} if smooth else {})}
-        options |= {"range_max_m": range_max, "method": odometry if own is None else "best"}  # preprocessing of `best`
+        options |= {
+            "range_max_m": stated.range,
+            "method": odometry if own is None else "best",
+        }  # preprocessing of `best`
         recording_settings(**options)  # raises for bad options before a file is opened
         target = output or Path(f"{recording.resolve().stem}_run")
         check_folder(target, force, recording)
         other = (display_name(estimate), read_trajectory(estimate)) if estimate else None
         on_stage(f"opening {recording.name}")
-        clocks: dict[str, Any] = {"clock": clock, "time_offset_s": time_offset}
-        flight = read_flight(recording, scans=scans, poses=poses, imu=imu, T_drone_sensor=parse_mount(mount), **clocks)
-        true, scene = truth_of(flight, recording, truth), Scene.of(flight)
+        flight = read_flight(recording, stated)
+        true, scene = truth_of(flight, recording, stated), Scene.of(flight)
         settings, structure = recording_settings(scene=scene, **options)
-        say("\n".join((*opened_lines(flight), settings_line(settings))))
+        say("\n".join((*opened_lines(flight, scene), settings_line(settings))))
         report = run_recording(flight, target, settings, structure, true, on_share, on_stage, own=own, other=other)
     say("\n".join(report.summary))
     warn(*voxel_warning(settings, scene), *report.warnings)
@@ -173,7 +196,7 @@ def record(
 
 @app.command(epilog="\b\nExample:\n  steelnb segment tower.laz --dx 0.08 -o bars")
 def segment(
-    cloud: Annotated[Path, typer.Argument(help="PLY, PCD, LAS, LAZ, NPY, NPZ, XYZ, TXT or CSV file, in metres.")],
+    cloud: Annotated[Path, typer.Argument(help="PLY, PCD, LAS, LAZ, NPY, XYZ, TXT or CSV file.")],
     output: Annotated[
         Path | None, typer.Option("-o", "--output", metavar="FOLDER", help="Output folder. Default: NAME_segments.")
     ] = None,
@@ -183,6 +206,13 @@ def segment(
         typer.Option(help="Radius in metres of the tube that holds a bar's points. Default: from the point spacing."),
     ] = None,
     min_votes: Annotated[int | None, typer.Option(help="Minimum number of filtered points of a bar.")] = None,
+    unit: Annotated[
+        str | None, typer.Option(help="Unit of the coordinates, such as mm or ft. Default: metres.")
+    ] = None,
+    columns: Annotated[
+        str | None,
+        typer.Option(metavar="t,x,y,z", help="Names of columns in order, _ to skip one, if the file has none."),
+    ] = None,
     scene: Annotated[
         bool, typer.Option("--scene", metavar=NO_VALUE, help="Write an interactive scene, segments.html, too.")
     ] = False,
@@ -190,13 +220,14 @@ def segment(
 ) -> None:
     """Find the bars of a structure in a point cloud. Ground, walls and other surfaces are left out."""
     with progress() as (on_stage, _):
-        from steelnb.recording.segment_cloud import segment_file
+        from steelnb.recording.segment import segment_file
 
         check_folder(target := output or Path(f"{cloud.stem}_segments"), force)
         on_stage(f"reading {cloud.name}")
-        result = segment_file(
-            cloud, target, voxel_m=voxel, dx_m=dx, min_votes=min_votes, scene=scene, on_stage=on_stage
-        )
+        named = tuple(name.strip() for name in columns.split(",")) if columns else None
+        stated: dict[str, Any] = {"unit": unit, "columns": named}
+        sizes: dict[str, Any] = {"voxel_m": voxel, "dx_m": dx, "min_votes": min_votes}
+        result = segment_file(cloud, target, **sizes, scene=scene, on_stage=on_stage, **stated)
     say("\n".join(result.summary))
     warn(*result.warnings)
 
@@ -226,6 +257,19 @@ def study(
         say(f"{run.method}, {run.trajectory}, seed {run.seed}: {run.error.splitlines()[-1]}", sys.stderr)
     say(f"{output / RUNS} written: {len(table)} runs, {len(failed)} of them failed")
     return int(len(failed) > 0)
+
+
+def _numbers(option: str, text: str | None) -> tuple[float, ...] | None:
+    try:
+        return None if text is None else tuple(map(float, text.split(",")))
+    except ValueError:
+        raise InputError(f"{option} {text}: expected numbers, such as 0.06,0,0,0,0,0") from None
+
+
+def _flag(option: str, text: str | None) -> bool | None:
+    if text not in (None, "yes", "no"):
+        raise InputError(f"{option} {text}: expected yes or no")
+    return None if text is None else text == "yes"
 
 
 def _overrides(changed: list[str] | None, also: dict[str, str] | None = None) -> dict[str, Any]:

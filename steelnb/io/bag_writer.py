@@ -15,8 +15,7 @@ from steelnb.core.arguments import checks_arguments
 from steelnb.core.errors import InputError, OutputError
 from steelnb.core.files import OVERWRITE, check_writable, new_folder
 from steelnb.core.types import Array, Flight, Trajectory
-from steelnb.io.containers import typestore
-from steelnb.io.messages import CLOUD, IMU, ODOMETRY, TF
+from steelnb.io.messages import CLOUD, IMU, ODOMETRY, TF, typestore
 from steelnb.io.recordings import truth_path
 from steelnb.io.trajectories import write_tum
 

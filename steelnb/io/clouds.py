@@ -1,50 +1,36 @@
-"""Reader of point files: NPY, NPZ, PLY, PCD, LAS, LAZ and text. What it does not understand is refused, not guessed.
-Writer of PLY."""
+"""Reader of point files: PLY, PCD, LAS, LAZ, NPY and text, of which what they leave open is stated. Writer of PLY.
 
-import os
+PLY is read by trimesh, PCD by pypcd4, LAS by laspy and text by pandas. Sizes are checked before a reader that would
+read less, or ask for much memory.
+"""
+
+import io
 import re
+import struct
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
 
-from steelnb.core.arguments import checks_arguments
-from steelnb.core.checks import COORDINATE_MAX_M, check_length, checked_array
+from steelnb.core.checks import COORDINATE_MAX_M, check_length, checked_array, shown
 from steelnb.core.errors import InputError
 from steelnb.core.files import new_file, reading
 from steelnb.core.types import Array, IntArray, shift_of, translated
-from steelnb.hough.lines import spacing
-from steelnb.io.column_names import AXIS
-from steelnb.io.coordinates import check_degrees, check_first_column, check_geocentric, check_steps, is_stray
-from steelnb.io.encodings import foreign_file
-from steelnb.io.las import read_las
-from steelnb.io.pcd import read_pcd
-from steelnb.io.ply import read_ply
-from steelnb.io.table_form import read_table
+from steelnb.settings import RecordingOptions
+from steelnb.settings.recording import METRES, metres_of
 
-EXTENT_MAX_M, SPACING_MAX_M = 500.0, 1.0
-"""A cloud that exceeds both extent and spacing is probably in millimetres: no scanner is that sparse."""
-CENTIMETRES_MAX = 5000.0
-"""A structure of this extent in centimetres is 50 m large."""
-LINES_LOOKED_AT = 100
-"""Number of lines by which decimal commas are recognised."""
-COORDINATE_MIN_M = 1e-30
-"""Smaller numbers than this are bytes in another order."""
-CHANNELS_MAX = 16
-"""An array (3, N) has more columns than this, an array (N, 3 or more) at most as many."""
-CLOUD_NAMES = r"points?|pts|xyz|cloud|point_?cloud|coords?|coordinates"
-"""Names of the array of coordinates in a NPZ file."""
-OTHER_AXES = {
-    "x": ("e|east|easting|points_0", "ost|rechtswert|(?:points_m_xyz|coordinates)_0"),
-    "y": ("n|north|northing|points_1", "nord|hochwert|(?:points_m_xyz|coordinates)_1"),
-    "z": ("elevation|height|altitude|points_2", "elev|hoehe|höhe|alt|(?:points_m_xyz|coordinates)_2", "u|up|h"),
-}
-RARE_AXIS = (r"(?:points|coords|coordinates|local)_?{}", r"{}_?(?:local|\d)")
-"""Names of columns, the preferred first: other words for an axis than `AXIS`, and rarer forms."""
+IDENTITY = ["0", "0", "0", "1", "0", "0", "0"]
+"""VIEWPOINT of a PCD file without one: position, quaternion wxyz."""
+LZF_RATIO_MAX = 88
+"""A reference of three bytes copies at most 264 of them."""
+FEET, DEGREES = (9002, 9003), 2
+"""GeoTIFF's codes of the foot and the US survey foot, and of a system in longitude and latitude."""
+UNIT = re.compile(r"(.*?)(?: *[\[(](.*)[\])]|_(s|ms|us|ns|m|mm|cm))?")
+"""The name of a column and its unit, in brackets or after an underscore."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,187 +38,337 @@ class Cloud:
     """Distinct finite points of a file.
 
     ``points (N, 3)`` in metres are relative to ``origin (3,)``: add it to results derived from them. The origin is zero
-    unless the coordinates are large (UTM), and a multiple of 100 m. ``invalid`` counts the dropped points with a
-    coordinate that is NaN, infinite or beyond `COORDINATE_MAX_M`, ``duplicates`` the dropped exact duplicates, and
-    ``strays`` the dropped points kilometres from all others (`STRAY_M`), or with a coordinate that stands for none
-    (`NO_RETURN`).
+    unless the coordinates are large (UTM), and a multiple of 100 m. ``invalid`` counts the dropped points without a
+    return, ``duplicates`` the dropped exact duplicates. ``facts``: what was read, the unit, and a viewpoint.
     """
 
     points: Array
     origin: Array
     invalid: int
     duplicates: int
-    strays: int = 0
+    facts: Mapping[str, str]
 
     def __len__(self) -> int:
         return len(self.points)
 
+    @property
+    def extent_m(self) -> Array:
+        """Size of the box around all points, ``(3,)`` metres."""
+        size: Array = np.ptp(self.points, axis=0)
+        return size
 
-@checks_arguments
-def read_cloud(path: Path | str) -> Cloud:
-    """Read the points of a NPY, NPZ, PLY, PCD, LAS, LAZ or text file (XYZ, TXT, CSV, ASC, PTS), chosen by the suffix.
 
-    Raises `InputError` for a missing, truncated or invalid file, fewer than two distinct points, several sites, and a
-    cloud that seems to be in millimetres.
+def read_cloud(path: Path | str, *, unit: str | None = None, columns: Sequence[str] = ()) -> Cloud:
+    """Read the points of a PLY, PCD, LAS, LAZ, NPY or text file (XYZ, TXT, CSV, ASC, PTS), chosen by the suffix.
+
+    ``unit`` of the coordinates, such as "mm" or "ft": by default metres, or what the names of columns say. ``columns``:
+    names of the columns of a text file or an array, "_" for one to skip, if it has other than three and no names.
+
+    Raises `InputError` for a missing, truncated or ambiguous file, a mesh, and fewer than two distinct points.
     """
-    points = read_points(path).reshape(-1, 3)
+    options = RecordingOptions(unit=unit, columns=tuple(columns))
+    points, facts = _read(Path(path), options)
+    points = points.reshape(-1, 3)
     finite = points[np.isfinite(points).all(axis=1)]
     distinct = finite[~pd.DataFrame(finite).duplicated().to_numpy()]
     if len(distinct) < 2:
         raise InputError(f"{path}: {len(distinct)} distinct finite points of {len(points)}; expected at least two")
-    kept = distinct[~is_stray(path, distinct)]
-    extent_m = float(np.ptp(kept, axis=0).max())
-    if extent_m > EXTENT_MAX_M:
-        spacing_m = spacing(kept)
-        if spacing_m > SPACING_MAX_M:
-            unit = "millimetres" if extent_m > CENTIMETRES_MAX else "centimetres or millimetres"
-            looks = f"a spacing of {spacing_m:.3g} over {extent_m:.4g} looks like {unit}"
-            raise InputError(f"{path}: {looks}; expected metres")
-    check_geocentric(path, kept)
-    check_steps(path, kept)
-    check_degrees(path, kept)
-    origin = shift_of(kept.mean(axis=0))
-    shifted = translated(kept, -origin) if origin.any() else kept
-    return Cloud(shifted, origin, len(points) - len(finite), len(finite) - len(distinct), len(distinct) - len(kept))
+    origin = shift_of(distinct.mean(axis=0))
+    shifted = translated(distinct, -origin) if origin.any() else distinct
+    return Cloud(shifted, origin, len(points) - len(finite), len(finite) - len(distinct), facts)
 
 
-@checks_arguments
-def read_points(path: Path | str) -> Array:
-    """Points of one file, float64, metres: ``(N, 3)``, or ``(H, W, 3)`` of an organised cloud (PCD, NPY, NPZ).
+def read_points(path: Path | str, options: RecordingOptions) -> Array:
+    """Points of one file, float64, metres: ``(N, 3)``, or ``(H, W, 3)`` of an organised cloud (PCD, NPY).
 
-    Invalid points, and those beyond `COORDINATE_MAX_M`, are NaN rows. A file in which most points are beyond is
-    damaged. Raises `InputError`.
+    Points without a return are NaN rows: not finite, all zero, or beyond `COORDINATE_MAX_M`. Raises `InputError`.
     """
-    path = Path(path)
-    read = READERS.get(path.suffix.lower())
-    if os.path.isdir(path):
+    return _read(Path(path), options)[0]
+
+
+class Read(NamedTuple):
+    """What a reader gives: coordinates ``(..., 3)``, what kind of file it was, the metres of its unit if the file says
+    it, and the viewpoint if it has one."""
+
+    points: Any
+    kind: str
+    unit_m: float | None = None
+    viewpoint: str = ""
+
+
+def _read(path: Path, options: RecordingOptions) -> tuple[Array, dict[str, str]]:
+    reader = READERS.get(path.suffix.lower())
+    if path.is_dir():
         raise InputError(f"{path}: a folder; expected a file of points (`steelnb run` takes a folder of scans)")
-    with reading(path, f"a {path.suffix[1:].upper() or 'readable'} file of points"), warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # of NumPy, about files of Python 2
-        if path.suffix.lower() != ".npz" and (what := foreign_file(path)):
-            raise ValueError(what)
-        if read is None:
+    with reading(path, "a file of points"):
+        if reader is None:
             raise InputError(f"{path}: ending {path.suffix!r}; expected one of {', '.join(READERS)}")
-        points = np.array(read(path), dtype=np.float64)
+        found = reader(path, options)
+        points = np.array(found.points, dtype=np.float64)
         if not points.size:
             raise ValueError("no points")
-        largest = np.maximum.reduce([np.abs(points[..., axis]) for axis in range(3)])
-        largest[largest == np.finfo(np.float32).max] = np.nan  # no return
-        tiny = (largest > 0) & (largest < COORDINATE_MIN_M)
-        beyond = np.isfinite(largest) & (largest > COORDINATE_MAX_M)
-        if len(np.unique(largest[tiny])) > 1:  # a single value stands for no return
-            beyond |= tiny
-        if beyond.sum() > np.isfinite(largest).sum() / 2:
-            bounds = f"{COORDINATE_MIN_M:.0e} to {COORDINATE_MAX_M:.0e} m"
-            raise ValueError(f"{beyond.sum()} points that are not within {bounds}, as {points[beyond][0]}")
-    points[~(largest <= COORDINATE_MAX_M) | tiny] = np.nan
-    return points
+    unit_m = options.unit_m or found.unit_m or 1.0
+    points *= unit_m
+    with np.errstate(invalid="ignore"):
+        largest = np.abs(points).max(axis=-1)  # NaN if one is
+    points[~((largest > 0) & (largest <= COORDINATE_MAX_M))] = np.nan
+    source = "--unit" if options.unit else "as the file says" if found.unit_m else "default; --unit states another"
+    facts = {"read": found.kind, "unit": f"{unit_m:g} m ({source})"}
+    return points, facts | ({"viewpoint": found.viewpoint} if found.viewpoint else {})
 
 
-def _read_numpy(path: Path) -> Any:
-    """The array of a NPY file, or that of points in a NPZ file. The former is mapped, since NumPy then compares its
-    size with the file before it allocates."""
-    try:
-        stored = np.load(path, mmap_mode="r", allow_pickle=False)
-        if not isinstance(stored, np.ndarray):
-            stored = {name: stored[name] for name in stored.files}
-    except Exception:  # NumPy evaluates the header, so that damage raises anything
-        raise ValueError("damaged, truncated, or not of numbers; expected an array by numpy.save") from None
-    stored = _of_archive(stored) if isinstance(stored, dict) else stored
-    is_picture = stored.dtype in ("u1", "i1")
-    if is_picture or (not stored.dtype.names and stored.dtype.kind not in "fiu"):
-        what = "a picture of " if is_picture else ""
-        raise ValueError(f"{what}{stored.dtype}; expected coordinates")
-    if stored.dtype.names is not None:
-        field = {name.lower(): name for name in stored.dtype.names}
+def _read_ply(path: Path, _: RecordingOptions) -> Read:
+    from trimesh.exchange.ply import load_ply
+
+    file = path.read_bytes()
+    header = file.partition(b"end_header")[0].decode("ascii", "replace")
+    faces = re.search(r"^element face +(\d+)", header, re.MULTILINE)
+    if faces and int(faces[1]):
+        raise ValueError(f"a mesh: {faces[1]} faces; expected a cloud, as of points sampled on it")
+    for axis in "XYZ":  # trimesh knows small letters alone
+        file = file.replace(f" {axis}\n".encode(), f" {axis.lower()}\n".encode(), 1) if f" {axis}\n" in header else file
+    points = load_ply(io.BytesIO(file)).get("vertices")
+    count = re.search(r"^element vertex +(\d+)", header, re.MULTILINE)
+    if points is None or count is None or len(points) != int(count[1]):
+        raise ValueError(f"{np.size(points) // 3} vertices, unlike its header; expected x, y and z of each vertex")
+    return Read(points, "PLY")
+
+
+def _read_pcd(path: Path, options: RecordingOptions) -> Read:
+    """Fields of a header may be missing that others imply, and its lines may end as those of Windows."""
+    from pypcd4.pypcd4 import PointCloud
+
+    file = path.read_bytes()
+    start = re.search(rb"^DATA[ \t]+(\w+)[ \t]*\r?\n", file, re.MULTILINE)
+    if start is None:
+        raise ValueError("no line DATA; expected the header of a PCD file")
+    lines = [line.split() for line in file[: start.start()].decode("ascii", "replace").splitlines()]
+    words = {line[0].upper(): line[1:] for line in lines if line and not line[0].startswith("#")}
+    encoding, data = start[1].decode().lower(), file[start.end() :]
+    fields = words.get("FIELDS", words.get("COLUMNS", []))
+    kinds = {name: words.get(name, ["1"] * len(fields)) for name in ("SIZE", "TYPE", "COUNT")}
+    if {len(each) for each in kinds.values()} != {len(fields)} or {"SIZE", "TYPE"} - words.keys():
+        raise ValueError(f"{len(fields)} fields; expected as many values in SIZE, TYPE and COUNT")
+    missing = [axis for axis in "xyz" if fields.count(axis) != 1 or kinds["COUNT"][fields.index(axis)] != "1"]
+    if missing:
+        raise ValueError(f"fields {shown(' '.join(fields))}; expected x, y and z")
+    width, height = (int(words.get(name, ["1"])[0]) for name in ("WIDTH", "HEIGHT"))
+    count = int(words.get("POINTS", [str(width * height)])[0])
+    if "WIDTH" in words and count != width * height:
+        raise ValueError(f"POINTS {count}, but WIDTH × HEIGHT = {width * height}")
+    viewpoint = words.get("VIEWPOINT", IDENTITY)
+    said = "" if [float(each) for each in viewpoint] == [float(each) for each in IDENTITY] else " ".join(viewpoint)
+    stride = sum(int(size) * int(number) for size, number in zip(kinds["SIZE"], kinds["COUNT"], strict=True))
+    if encoding == "ascii":
+        names = [name for name, number in zip(fields, kinds["COUNT"], strict=True) for _ in range(int(number))]
+        points = _numbers(data, [names.index(axis) for axis in "xyz"], " ", len(names), len(lines) + 2)
+        held = len(points)
+    else:
+        sizes = struct.unpack_from("<II", data.ljust(8, b"\0")) if encoding == "binary_compressed" else (0, len(data))
+        held = sizes[1] // max(stride, 1)
+        if sizes[0] > len(data) - 8 or sizes[1] > LZF_RATIO_MAX * len(data):
+            raise ValueError(f"truncated: {len(data) - 8} bytes after its header; expected {sizes[0]}")
+    if held < count or (encoding != "binary" and held > count):
+        raise ValueError(f"{held} points after its header, which says {count}")
+    if encoding != "ascii":
+        header = [["VERSION", "0.7"], ["FIELDS", *fields], *([name, *kinds[name]] for name in kinds)]
+        header += [["WIDTH", str(count)], ["HEIGHT", "1"], ["POINTS", str(count)], ["DATA", encoding]]
+        text = "".join(" ".join(line) + "\n" for line in header)
+        cloud = PointCloud.from_fileobj(io.BufferedReader(io.BytesIO(text.encode() + data)))
+        points = np.stack([cloud.pc_data[axis].astype(np.float64) for axis in "xyz"], axis=-1)
+    shape = (height, width, 3) if height > 1 and "WIDTH" in words else (-1, 3)
+    pose = f"{said} (position, quaternion wxyz): not applied" if said else ""
+    return Read(points.reshape(shape), f"PCD, {encoding}", viewpoint=pose)
+
+
+def _read_las(path: Path, options: RecordingOptions) -> Read:
+    """Points that the file withholds are NaN."""
+    import laspy
+
+    with laspy.open(path) as file:
+        header, parts = file.header, []
+        if options.unit is None:
+            _check_metres(header)
+        stored = header.point_count * header.point_format.size
+        if not header.are_points_compressed and (held := path.stat().st_size - header.offset_to_point_data) < stored:
+            raise ValueError(f"truncated: {held} bytes of points; expected {stored}, as its header says")
+        try:
+            for part in file.chunk_iterator(1 << 20):
+                xyz = np.stack([part.x, part.y, part.z], axis=-1).astype(np.float64)
+                xyz[np.asarray(part.withheld, dtype=bool)] = np.nan
+                parts.append(xyz)
+        except BaseException as fault:  # a panic of lazrs is no Exception
+            if isinstance(fault, KeyboardInterrupt | SystemExit | MemoryError):
+                raise
+            raise ValueError(f"its points are damaged, after {sum(map(len, parts))}: {fault}") from None
+    if sum(map(len, parts)) != header.point_count:
+        raise ValueError(f"{sum(map(len, parts))} points; expected {header.point_count}, as its header says")
+    version = f"{path.suffix[1:].upper()} {header.version}, point format {header.point_format.id}"
+    return Read(np.concatenate(parts) if parts else np.zeros((0, 3)), version)
+
+
+def _check_metres(header: Any) -> None:
+    """Raise ValueError if the coordinate system of a LAS file says that its unit is not the metre."""
+    for record in header.vlrs:
+        keys = {key.id: key.value_offset for key in getattr(record, "geo_keys", ())}
+        text = str(getattr(record, "string", ""))
+        lengths = [float(size) for size in re.findall(r'(?<!ANGLE)UNIT\["(?!deg|rad)[^"]*",\s*([0-9.eE+-]+)', text)]
+        if keys.get(1024) == DEGREES or (text.startswith(("GEOGCS", "GEOGCRS"))):
+            raise ValueError("longitude and latitude, as its coordinate system says; expected metres, as of UTM")
+        if keys.get(3076) in FEET or any(abs(size - METRES["ft"]) < 1e-6 for size in lengths):
+            raise ValueError("coordinates in feet, as its coordinate system says; expected --unit ft")
+
+
+def _read_npy(path: Path, options: RecordingOptions) -> Read:
+    stored = np.load(path, mmap_mode="r", allow_pickle=False)
+    names = stored.dtype.names
+    if names is not None:
+        field = {name.lower(): name for name in names}
         if not {"x", "y", "z"} <= field.keys():
-            raise ValueError(f"fields {', '.join(stored.dtype.names)[:80]}; expected x, y and z")
-        if any(stored.dtype[field[axis]].shape for axis in "xyz"):
-            raise ValueError(f"x, y and z of type {stored.dtype[field['x']]}; expected a number each")
-        return np.stack([stored[field[axis]].astype(np.float64) for axis in "xyz"], axis=-1)
-    may_be_axes = stored.ndim in (2, 3) and len(stored) in (3, 4)
-    if may_be_axes and stored.shape[-1] > CHANNELS_MAX:
-        stored = np.moveaxis(stored, 0, -1)  # one row an axis
-    elif may_be_axes and (stored.shape != (4, 3) if stored.ndim == 2 else stored.shape[-1] > 4):
-        raise ValueError(f"an array of shape {stored.shape}: its rows may be points or axes; expected (N, 3)")
-    if stored.ndim not in (2, 3) or not 3 <= stored.shape[-1] <= CHANNELS_MAX:
-        raise ValueError(f"an array of shape {stored.shape}; expected (N, 3) or (H, W, 3)")
-    if stored.ndim == 2 and stored.shape[1] > 3:
-        check_first_column(stored[:, :6])
-    return stored[..., :3]
+            raise ValueError(f"fields {shown(', '.join(names))}; expected x, y and z")
+        return Read(np.stack([stored[field[axis]].astype(np.float64) for axis in "xyz"], axis=-1), "NPY")
+    if stored.dtype.kind not in "fiu" or stored.dtype.itemsize == 1:
+        raise ValueError(f"an array of {stored.dtype}; expected coordinates")
+    if options.columns and stored.ndim == 2 and stored.shape[1] == len(options.columns):
+        return Read(stored[:, axes_of(options.columns)], "NPY, its columns as --columns says")
+    if stored.ndim not in (2, 3) or stored.shape[-1] != 3:
+        hint = "; --columns x,y,z,_ names its columns" if stored.ndim == 2 and stored.shape[1] > 3 else ""
+        raise ValueError(f"an array of shape {stored.shape}; expected (N, 3) or (H, W, 3){hint}")
+    return Read(stored, "NPY")
 
 
-def _of_archive(members: Mapping[str, Any]) -> Any:
-    """The points among the members of a NPZ file: ``x``, ``y`` and ``z``; else the only array, the only one with three
-    columns, or of several of these the only one with a name of `CLOUD_NAMES`. Raises ValueError."""
-    arrays = {name: each for name, each in members.items() if isinstance(each, np.ndarray)}
-    named = {name.lower(): array for name, array in arrays.items()}
-    if named.keys() >= {"x", "y", "z"}:
-        return np.stack([named[axis].astype(np.float64).ravel() for axis in "xyz"], axis=-1)
-    fitting = [name for name, array in arrays.items() if array.ndim > 1 and array.shape[-1] == 3]
-    preferred = [name for name in fitting if re.fullmatch(CLOUD_NAMES, name.lower())]
-    chosen = list(arrays) if len(arrays) == 1 else fitting if len(fitting) == 1 else preferred
-    if len(chosen) != 1:
-        held = ", ".join(f"{name} {array.shape}" for name, array in arrays.items())
-        raise ValueError(f"arrays {held[:200] or 'none'}; expected one of points (N, 3), or its name points or xyz")
-    return arrays[chosen[0]]
+def _read_text(path: Path, options: RecordingOptions) -> Read:
+    table = read_table(path, options.columns)
+    names = [name.lower() for name in table.names]
+    if not names and table.width == 3:
+        return Read(table.values([0, 1, 2]), "text, three columns")
+    if [names.count(axis) for axis in "xyz"] != [1, 1, 1]:
+        said = f"names {shown(', '.join(names))}" if names else f"{table.width} columns without names"
+        raise ValueError(f"{said}; expected x, y and z, named by --columns t,x,y,z (in order, _ for one to skip)")
+    axes = [names.index(axis) for axis in "xyz"]
+    units = {table.units[k] for k in axes} - {""}
+    if len(units) > 1:
+        raise ValueError(f"x, y and z in {' and '.join(sorted(units))}; expected one unit")
+    unit_m = metres_of(units.pop()) if units and options.unit is None else None
+    source = "named by --columns" if options.columns else "named in its first line"
+    return Read(table.values(axes), f"text, x, y and z {source}", unit_m)
 
 
-def _read_text(path: Path) -> Any:
-    """x, y and z, or east, north and height, by the names of the columns; without names the first three, or three lines
-    of many numbers."""
-    table = read_table(path)
-    number = [
-        table.find(axis, *(form.format(axis) for form in AXIS), *words, *(form.format(axis) for form in RARE_AXIS))
-        for axis, words in OTHER_AXES.items()
-    ]
-    is_unnamed, said = None in number, None
-    if is_unnamed:
-        if table.has_header or any(each is not None for each in number):
-            raise ValueError(f"columns {', '.join(table.names)[:80]}; expected x, y and z")
-        if len(table.own) < 3:
-            raise ValueError(f"{len(table.own)} numbers in line {table.first}; expected x, y and z")
-        if len(table.own) > CHANNELS_MAX:  # one line an axis, as in NPY
-            lines = table.values(table.own)
-            if len(lines) != 3:
-                raise ValueError(f"{len(lines)} lines of {len(table.own)} numbers; expected x, y and z in each line")
-            return lines.T
-        said = next((k for k in range(len(table.said)) if table.said[k : k + 3] == ("x", "y", "z")), None)
-        number = list(table.own[said if said and said + 3 <= len(table.own) else 0 :][:3])
-    elif other := {table.units[k] for k in number if k is not None} - {"", "m"}:
-        raise ValueError(f"x, y and z in {', '.join(sorted(other))}; expected metres")
-    behind = table.own[3:6] if is_unnamed and said is None else ()
-    points = table.values([k for k in number if k is not None], more=behind)
-    if is_unnamed and len(table.own) > 3:
-        check_first_column(points)
-    if is_unnamed and table.separator == "," and len(table.own) >= 6 and len(table.own) % 2 == 0:
-        _check_commas(table.data.splitlines()[:LINES_LOOKED_AT])
-    return points[:, :3]
+def axes_of(columns: Sequence[str]) -> list[int]:
+    """Numbers of the columns x, y and z. Raises ValueError."""
+    if [columns.count(axis) for axis in "xyz"] != [1, 1, 1]:
+        raise ValueError(f"--columns {','.join(columns)}; expected x, y and z once each")
+    return [columns.index(axis) for axis in "xyz"]
 
 
-def _check_commas(lines: list[bytes]) -> None:
-    """Raise ValueError if lines may have half as many numbers with decimal commas: all are whole numbers, and every
-    second one has as many digits as the others of these."""
-    cells = [[cell.strip() for cell in line.split(b",")] for line in lines]
-    is_whole = all(re.fullmatch(rb"-?\d+", cell) for line in cells for cell in line)
-    decimals = {cell for line in cells for cell in line[1::2]}
-    are_even = is_whole and len(cells) > 1 and len({len(cell) for cell in decimals}) == 1
-    are_padded = any(len(cell) > 1 and cell.startswith(b"0") for cell in decimals)
-    are_colours = (
-        len(cells[0]) == 6 and all(0 <= int(cell) < 256 for line in cells for cell in line[3:]) if is_whole else False
-    )
-    if are_even and (are_padded or not are_colours or (len(cells) == LINES_LOOKED_AT and len(decimals) > 3)):
-        raise ValueError("whole numbers between commas, which may be decimal ones; expected decimal points")
+class Table(NamedTuple):
+    """A text file: the lines of numbers from ``data`` on, with ``width`` fields each, divided by ``separator`` (a blank
+    stands for white space); ``names`` of the columns and their ``units`` ("" if not given), both empty without names;
+    ``first``: number of the first line of numbers in the file, and ``first_cells`` its fields."""
+
+    data: bytes
+    width: int
+    separator: str
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    first: int
+    first_cells: list[str]
+
+    def values(self, wanted: Sequence[int]) -> Array:
+        """Columns ``wanted (C,)`` of all lines, ``(N, C)``. Raises ValueError for a line of another form."""
+        return _numbers(self.data, wanted, self.separator, self.width, self.first)
 
 
-READERS: Mapping[str, Callable[[Path], Any]] = {
-    ".npy": _read_numpy, ".npz": _read_numpy, ".ply": read_ply, ".pcd": read_pcd, ".las": read_las, ".laz": read_las,
+def read_table(path: Path, columns: Sequence[str] = ()) -> Table:
+    """Open a text file of numbers, divided by blanks, or by one of comma, semicolon and tab.
+
+    Its names stand in the line before the numbers, which may be a comment (``#``, ``//``), or are ``columns``. A line
+    with the number of all lines may stand before them (PTS). Raises ValueError.
+    """
+    text = path.read_bytes().removeprefix(b"\xef\xbb\xbf")
+    if b"\0" in text[:4096]:
+        raise ValueError("binary data or UTF-16; expected text in UTF-8")
+    at, before, declared = 0, "", None
+    for first, raw in enumerate(text.splitlines(keepends=True), 1):  # noqa: B007
+        line = raw.decode("utf-8", "replace").strip()
+        is_comment = line.startswith(("#", "//"))
+        cells, separator = _cells(line)
+        if line and not is_comment and any(map(_is_number, cells)):
+            if declared is not None or len(cells) > 1 or not cells[0].isdigit() or at + len(raw) == len(text):
+                break
+            declared = int(cells[0])
+        elif line:
+            before = line.lstrip("#/ \t") if is_comment or not before else before
+        at += len(raw)
+    else:
+        raise ValueError("no lines of numbers with decimal points")
+    data = text[at:]
+    if declared is not None and declared != (lines := sum(1 for each in data.splitlines() if each.strip())):
+        raise ValueError(f"{lines} lines of numbers; expected {declared}, as its first line says")
+    if columns:
+        if len(columns) != len(cells):
+            raise ValueError(f"{len(cells)} columns; expected {len(columns)}, as --columns names")
+        return Table(data, len(cells), separator, tuple(columns), ("",) * len(columns), first, cells)
+    header, _ = _cells(re.sub(r"\s+(?=[\[(])", "", before))
+    found = [UNIT.fullmatch(name.strip('" \t')) for name in header]
+    if len(header) != len(cells) or not all(found):
+        if before and not any(text[:at].splitlines()[-1].lstrip().startswith(mark) for mark in (b"#", b"//")):
+            raise ValueError(f"{len(header)} names for {len(cells)} columns: {shown(before)}; expected as many")
+        return Table(data, len(cells), separator, (), (), first, cells)
+    names, units = zip(*((each[1], each[2] or each[3] or "") for each in found if each), strict=True)
+    return Table(data, len(cells), separator, names, units, first, cells)
+
+
+def _cells(line: str) -> tuple[list[str], str]:
+    """The fields of a line, and what divides them."""
+    separators = [each for each in ";\t," if each in line]
+    separator = separators[0] if separators else " "
+    return [cell.strip() for cell in (line.split(separator) if separators else line.split())], separator
+
+
+def _is_number(cell: str) -> bool:
+    try:
+        float(cell)
+    except ValueError:
+        return False
+    return "_" not in cell
+
+
+def _numbers(data: bytes, wanted: Sequence[int], separator: str, count: int, first: int) -> Array:
+    """Columns ``wanted (C,)`` of lines with ``count`` fields. Raises ValueError that names a line of another form."""
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # about texts among the numbers of other columns
+            table = pd.read_csv(
+                io.BytesIO(data), sep=separator.replace(" ", r"\s+"), header=None, comment="#", skipinitialspace=True,
+                dtype=dict.fromkeys(wanted, np.float64), encoding_errors="replace",
+            )  # fmt: skip
+        if len(table.columns) == count and not table.iloc[:, -1].isna().any():
+            values: Array = table[list(wanted)].to_numpy(np.float64)
+            return values
+    except ValueError:  # pandas names neither the line nor the text
+        table = None
+    for number, raw in enumerate(data.splitlines(), first):
+        line = raw.partition(b"#")[0].decode("utf-8", "replace").strip(" \r\n")
+        cells = [cell.strip() for cell in (line.split(separator) if separator != " " else line.split())]
+        if line and len(cells) != count:
+            raise ValueError(f"line {number} has {len(cells)} fields, {shown(line)}; expected {count}")
+        for cell in (cells[k] for k in wanted if line):
+            if not _is_number(cell) and cell not in ("", "NA", "null", "NULL", "None"):
+                raise ValueError(f"line {number}: {shown(cell)}; expected a number with a decimal point")
+    if table is None:
+        raise ValueError(f"no lines of numbers that can be read from line {first} on")
+    values = table[list(wanted)].to_numpy(np.float64)
+    return values
+
+
+READERS: Mapping[str, Callable[[Path, RecordingOptions], Read]] = {
+    ".ply": _read_ply, ".pcd": _read_pcd, ".las": _read_las, ".laz": _read_las, ".npy": _read_npy,
     ".xyz": _read_text, ".txt": _read_text, ".csv": _read_text, ".asc": _read_text, ".pts": _read_text,
 }  # fmt: skip
 """Reader of each suffix."""
 
 
-@checks_arguments
 def write_map(path: Path | str, points: Array, bar: IntArray) -> None:
     """Write points ``(N, 3)`` in metres, and the bar ``(N,)`` of each as the property ``bar``, to a binary
     little-endian PLY file. Coordinates are doubles, so that UTM keeps its millimetres."""

@@ -1,173 +1,146 @@
-"""Reader of folders of clouds with a trajectory, as other programs write and name them."""
+"""Reader of folders of clouds with a trajectory. The numbers in the names of the clouds order them."""
 
-import os
+import re
 from collections import Counter
-from collections.abc import Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from steelnb.core.errors import InputError
 from steelnb.core.files import display_name
+from steelnb.core.types import Array, Imu, IntArray, Trajectory
 from steelnb.io.clouds import READERS, read_points
-from steelnb.io.containers import is_bag
-from steelnb.io.encodings import foreign_file
-from steelnb.io.opened import Opened, Walk
-from steelnb.io.stamped_names import NUMBER, stamps_of
-from steelnb.io.table_form import read_table
-from steelnb.io.trajectories import MAY_BE_W_FIRST, OUT_OF_ORDER, read_trajectory
+from steelnb.io.trajectories import IN_ORDER, SECONDS, named_file, read_stamps, read_trajectory, stamps_file
+from steelnb.settings import RecordingOptions
 
-TRUE = ("groundtruth.tum", "groundtruth.txt", "groundtruth.csv")
-OF_KITTI = "as numpy.save writes it of KITTI's numpy.fromfile(FILE, 'f4').reshape(-1, 4)"
-ALIKE = "expected names that differ in numbers alone"
+NUMBER = re.compile(r"\d+(?:\.\d+)?")
+NS_DIGITS = range(16, 20)
+"""Numbers of so many digits in names are nanoseconds: since 2001, and before 2286."""
 TRAJECTORIES = (".tum", ".txt", ".csv")
 """Suffixes of files that may be trajectories."""
-COMPRESSED = (".gz", ".bz2", ".xz", ".zst", ".zip", ".7z")
-STRAY_SHARE = 0.1
-"""Clouds with names of another form are no scans if they are fewer than this share of the scans, or a single one."""
+BESIDE = ("groundtruth", "times", "calib")
+"""Files of these names beside a trajectory are none: the truth, and those of KITTI."""
+
+Walk = Callable[[IntArray], Iterator[Callable[[], Array]]]
+"""Iterator over the decoders of the scans with these increasing numbers."""
 
 
-def open_clouds(path: Path, scans: str | None, poses: str | None) -> Opened:
-    """Open a folder of clouds with a trajectory.
+class Recorded(NamedTuple):
+    """What a reader of recordings gives: the parts of a `Flight`, whose scans are still in their files.
 
-    The stamps are numbers in the names, or those of the poses if there is one pose a cloud. Raises `InputError`.
+    ``stamp_s (N,)`` of all scans, NaN for those that are not used; ``walk`` over their decoders; poses of the drone;
+    ``T_drone_sensor (4, 4)``; the facts for `Flight`; readings of an IMU; and counts of what was skipped."""
+
+    stamp_s: Array
+    walk: Walk
+    prior: Trajectory
+    T_drone_sensor: Array
+    facts: dict[str, str]
+    imu: Imu | None
+    skipped: Counter[str]
+
+
+def open_folder(path: Path, options: RecordingOptions) -> Recorded:
+    """Open a folder of clouds with one trajectory. Points and poses are as the files have them.
+
+    The stamps are numbers in the names, or stated, or those of the poses if there is one pose a cloud. Raises
+    `InputError`.
     """
     skipped = Counter[str]()
-    folder = path / scans if scans else path
+    folder = path / options.scans if options.scans else path
     if not folder.is_dir():
-        raise InputError(f"{folder}: no such folder; expected clouds in it")
-    files, strays = _scans(folder)
-    trajectory = _trajectory_file(path, poses, files)
-    prior = read_trajectory(trajectory, skipped)
-    stamp_s, source = stamps_of([file.stem for file in files], prior)
-    if stamp_s is not None:
-        by_stamp = np.argsort(stamp_s, kind="stable")
-        files, stamp_s = [files[k] for k in by_stamp], stamp_s[by_stamp]
-    else:
-        stamp_s, named, source = prior.stamp_s, source, "in the order of their names"
-        if len(prior) != len(files) or skipped[OUT_OF_ORDER]:
-            count = skipped.total() - skipped[MAY_BE_W_FIRST]
-            but = f" ({count} dropped)" if count else ""
-            but = f", {skipped[OUT_OF_ORDER]} of them out of order" if skipped[OUT_OF_ORDER] else but
-            beside = f" ({', '.join(file.name for file in strays[:3])} beside them)" if strays else ""
-            raise InputError(
-                f"{path}: {len(files)} clouds, {named}, and {len(prior)} poses in {trajectory.name}{but}; expected one "
-                f"pose per cloud, or stamps in the names, unlike {files[0].name}{beside}"
-            )
-    strays = [file for file in strays if file != trajectory and file.name not in TRUE]
-    if strays:
-        named = ", ".join(map(display_name, strays[:3])) + (", …" if len(strays) > 3 else "")
-        skipped[f"cloud beside the scans ({named})"] += len(strays)
-    facts = {"scans": f"{len(files)} files, {source}", "poses": display_name(trajectory), "mount": "identity assumed"}
-    walk: Walk = lambda number: (partial(read_points, files[k]) for k in number.tolist())  # noqa: E731
-    return Opened(stamp_s, walk, prior, np.eye(4), facts, None, skipped)
+        raise InputError(f"{folder}: no such folder; expected clouds in it (--scans)")
+    files, others = _clouds(folder)
+    trajectory = _trajectory_file(path, options, files)
+    no_columns = options.replace(columns=())
+    of_poses, of_clouds = (options, no_columns) if "qx" in options.columns else (no_columns, options)
+    prior = read_trajectory(trajectory, of_poses, skipped)
+    stamp_s, source = _stamps(path, files, options)
+    if stamp_s is None:
+        if len(prior) != len(files):
+            dropped = f" ({skipped.total()} more dropped)" if skipped.total() else ""
+            counts = f"{len(files)} clouds such as {files[0].name}, {len(prior)} poses in {trajectory.name}{dropped}"
+            expected = "the unit of the numbers in the names (--stamps us), a file of stamps (--stamps FILE)"
+            raise InputError(f"{path}: {counts}; expected {expected}, or one pose a cloud")
+        stamp_s = prior.stamp_s
+    by_stamp = np.argsort(stamp_s, kind="stable")
+    files, stamp_s = [files[k] for k in by_stamp], stamp_s[by_stamp]
+    beside = f"; {', '.join(map(display_name, others))} beside them is none" if others else ""
+    unit = f", points in {options.unit}" if options.unit else ""
+    facts = {
+        "scans": f"{len(files)} files {files[0].suffix}{unit}, {source}{beside}",
+        "poses": display_name(trajectory),
+        "mount": "identity: the poses are the sensor's (default; --mount states another)",
+    }
+    walk: Walk = lambda number: (partial(read_points, files[k], of_clouds) for k in number.tolist())  # noqa: E731
+    return Recorded(stamp_s, walk, prior, np.eye(4), facts, None, skipped)
 
 
-def named_file(path: Path, name: str) -> Path:
-    """A file by its name, relative to the working directory or to ``path``. Raises `InputError`."""
-    for file in (Path(name), path / name):
-        if os.path.exists(file) and not os.path.isdir(file):
-            return file
-    raise InputError(f"{name}: no such file, here or in {path}; expected a trajectory")
+def _clouds(folder: Path) -> tuple[list[Path], list[Path]]:
+    """The scans in a folder, sorted by the numbers in their names, 9 before 10, and the clouds without a number.
 
-
-def _other_files(folder: Path, suffixes: Sequence[str]) -> str:
-    """What is in a folder instead of clouds, and what to do."""
-    files = sorted(folder.glob("[!.]*"))
-    held = ", ".join(sorted({file.suffix or file.name for file in files})[:8]) or "nothing"
-    wanted = f"{held}; expected files with suffix {', '.join(suffixes)}"
-    for inner in filter(Path.is_dir, files):
-        if any(file.suffix.lower() in suffixes for file in inner.iterdir()) or _texts(inner):
-            return f"{wanted}, or the name of a folder in it (--scans {inner.name})"
-    if any(folder.glob("*.bin")) or any(folder.glob("*/*.bin")):
-        return f"{held}; .bin files do not say what is in them; expected .npy, {OF_KITTI}"
-    for file in filter(Path.is_file, files):
-        if what := foreign_file(file):
-            return f"{held}; {file.name} is {what}"
-    return wanted
-
-
-def _scans(folder: Path) -> tuple[list[Path], list[Path]]:
-    """The clouds in a folder that are scans, sorted by the numbers in their names, 9 before 10, and the other clouds.
-
-    The names of scans differ in their numbers alone. Raises `InputError`.
+    Text files are scans if there are no others. Raises `InputError`.
     """
-    suffixes = [suffix for suffix in READERS if suffix != ".txt"]
-    files = sorted(file for file in folder.glob("[!.]*") if file.suffix.lower() in suffixes and file.is_file())
-    forms: dict[str, list[Path]] = {}
-    for file in files:
-        forms.setdefault(NUMBER.sub("#", file.stem) + file.suffix.lower(), []).append(file)
-    no_tables = [file for file in files if file.suffix.lower() != ".csv"]
-    if not files and (texts := _texts(folder)):
-        return texts, []
-    if not no_tables and max(map(len, forms.values()), default=0) < 2:
-        raise InputError(f"{folder}: no clouds in it, but {_other_files(folder, suffixes)}")
-    chosen = max(forms.values(), key=len)
-    others = [each for each in forms.values() if each is not chosen]
-    if len(chosen) == 1:  # the names differ in more than numbers
-        chosen, others = no_tables or files, []
-        leading = {float(match[0]) for file in chosen if (match := NUMBER.match(file.stem))}
-        has_stamps = all("." in "".join(NUMBER.findall(file.stem)) for file in chosen)
-        if _by_number(chosen) != sorted(chosen) and len(leading) < len(chosen) and not has_stamps:
-            raise InputError(f"{folder}: clouds such as {chosen[0].name} and {chosen[1].name} have no order; {ALIKE}")
-    for each in sorted(others, key=len, reverse=True):
-        if len(each) > max(1, STRAY_SHARE * len(chosen)) or len(files) > 2 * len(chosen):
-            kinds = f"{len(chosen)} clouds such as {chosen[0].name}, and {len(each)} such as {each[0].name}"
-            raise InputError(f"{folder}: {kinds}; {ALIKE}, or one kind a folder")
-    scans = _by_number(chosen)
-    return scans, sorted((set(files) | _alike(folder, scans[0])) - set(scans))
+    held = [file for file in sorted(folder.glob("[!.]*")) if file.is_file() and file.suffix.lower() in READERS]
+    files = [file for file in held if file.suffix.lower() not in TRAJECTORIES]
+    files = files or [file for file in held if NUMBER.search(file.stem)]
+    if not files:
+        inner = [each.name for each in sorted(folder.iterdir()) if each.is_dir() and not each.name.startswith(".")]
+        hint = f", or the name of a folder in it (--scans {inner[0]})" if inner else ""
+        binary = "; .bin files do not say what is in them" if any(folder.glob("*.bin")) else ""
+        raise InputError(f"{folder}: no clouds in it{binary}; expected files {', '.join(READERS)}{hint}")
+    scans = [file for file in files if NUMBER.search(file.stem)] or files
+    forms = {NUMBER.sub("#", file.stem) + file.suffix.lower(): file for file in scans}
+    if len(forms) > 1:
+        first, second, *_ = forms.values()
+        kinds = f"clouds such as {first.name} and {second.name}"
+        raise InputError(
+            f"{folder}: {kinds}; expected names that differ in numbers alone, others in a folder (--scans)"
+        )
+    scans.sort(key=lambda file: ([float(number) for number in NUMBER.findall(file.stem)], file.stem))
+    return scans, [file for file in files if file not in scans]
 
 
-def _alike(folder: Path, scan: Path) -> set[Path]:
-    """Clouds that are named as the scans but have another ending, as where half of them are compressed."""
-    form = NUMBER.sub("#", scan.stem)
-    files = [file for file in folder.glob("[!.]*") if file.suffix.lower() in (*READERS, *COMPRESSED) and "#" in form]
-    return {file for file in files if NUMBER.sub("#", file.name.partition(".")[0]) == form and file.is_file()}
-
-
-def _texts(folder: Path) -> list[Path]:
-    """The clouds among text files, sorted by number: those whose names differ in numbers alone, if the first can be
-    read as one. Trajectories and notes have this ending, too."""
-    forms: dict[str, list[Path]] = {}
-    for file in _by_number([file for file in folder.glob("[!.]*") if file.suffix.lower() == ".txt"]):
-        if NUMBER.search(file.stem):
-            forms.setdefault(NUMBER.sub("#", file.stem), []).append(file)
-    found = max(forms.values(), key=len, default=[])
-    if len(found) < 2 or _is_trajectory(found[0]):
-        return []
-    with suppress(InputError):
-        read_points(found[0])
-        return found
-    return []
-
-
-def _by_number(files: Sequence[Path]) -> list[Path]:
-    """Files in the order of the numbers in their names."""
-    return sorted(files, key=lambda file: ([float(number) for number in NUMBER.findall(file.stem)], file.stem))
-
-
-def _trajectory_file(path: Path, poses: str | None, scans: Sequence[Path]) -> Path:
-    """The file of the drone's poses: the one of this name, or the only one in the folder. Raises `InputError`."""
-    if poses:
-        return named_file(path, poses)
+def _trajectory_file(path: Path, options: RecordingOptions, scans: Sequence[Path]) -> Path:
+    """The file of the drone's poses: the one that is named, or the only one in the folder. Raises `InputError`."""
+    if options.poses:
+        return named_file(path, options.poses)
     files = [file for file in sorted(path.glob("[!.]*")) if file.suffix.lower() in TRAJECTORIES and file.is_file()]
-    found = [file for file in files if file.name not in TRUE and file not in {*scans}]
-    if len(found) > 1:  # notes and tables of other things are no trajectories
-        found = [file for file in found if _is_trajectory(file)] or found
+    named = {Path(name).name for name in (options.truth, options.calib, stamps_file(options)) if name}
+    found = [file for file in files if file.stem not in BESIDE and file.name not in named and file not in scans]
     if len(found) != 1:
-        bags = [file.name for file in sorted(path.glob("[!.]*")) if not file.is_dir() and is_bag(file)]
-        if bags and not found:
-            without = f"clouds without a trajectory, and {', '.join(bags)}"
-            raise InputError(f"{path}: {without}; expected one, or the bag itself")
         listed = ", ".join(file.name for file in found) or "no trajectory"
-        raise InputError(f"{path}: {listed}; expected one TUM file (.tum, .txt, .csv), or the name of one (--poses)")
+        expected = f"expected one ({', '.join(TRAJECTORIES)}), or its name (--poses FILE)"
+        raise InputError(f"{path}: {listed} beside {len(scans)} clouds; {expected}")
     return found[0]
 
 
-def _is_trajectory(file: Path) -> bool:
-    try:
-        return len(read_trajectory(file)) > 0 and not read_table(file).has_title
-    except InputError:
-        return False
+def _stamps(path: Path, files: Sequence[Path], options: RecordingOptions) -> tuple[Array | None, str]:
+    """Stamps ``(K,)`` of clouds in seconds, or None if they are those of the poses, and where they are from."""
+    if options.stamps == IN_ORDER:
+        return None, "one pose each, in order (--stamps)"
+    if name := stamps_file(options):
+        stamp_s = read_stamps(named_file(path, name))
+        if len(stamp_s) != len(files):
+            raise InputError(f"{path}: {len(files)} clouds, but {len(stamp_s)} stamps in {name}; expected as many")
+        return stamp_s, f"stamps in {display_name(name)} (--stamps)"
+    columns = list(zip(*(NUMBER.findall(file.stem) for file in files), strict=True))
+    differ = [column for column in columns if len(set(column)) > 1] or columns
+    decimal = [column for column in differ if all("." in number for number in column)]
+    if len(decimal) == 1:
+        return np.array([float(number) for number in decimal[0]]), "seconds in their names"
+    long = [column for column in differ if all(len(number) in NS_DIGITS for number in column)]
+    unit = options.stamps or ("ns" if len(long) == 1 else None)
+    chosen = long if options.stamps is None else differ
+    if unit is None:
+        return None, "one pose each, in the order of their names (default)"
+    if len(chosen) != 1:
+        expected = f"expected one, or a file of stamps, one a cloud (--stamps FILE), not {unit}"
+        raise InputError(f"{path}: {len(chosen)} numbers in names such as {files[0].name} differ; {expected}")
+    per_second = round(1 / SECONDS[unit])
+    whole = [int(number) for number in chosen[0]]
+    stated = " (--stamps)" if options.stamps else ""
+    return np.array([n // per_second + n % per_second / per_second for n in whole]), f"{unit} in their names{stated}"

@@ -1,146 +1,112 @@
-"""ROS messages → arrays: points of PointCloud2 and of depth images, cameras, poses, stamps."""
+"""ROS messages → arrays: points of PointCloud2 and of depth images, poses, inertial readings, stamps.
 
-from typing import Any, NamedTuple
+A message is read as its definition says. What contradicts itself is an `InputError` of that message.
+"""
+
+import functools
+from typing import Any
 
 import numpy as np
 
 from steelnb.core.errors import InputError
 from steelnb.core.types import Array
-from steelnb.io.layouts import DEPTHS, cloud_layout, depth_encoding, depth_layout, no_return, views
 
 CLOUD, IMAGE, CAMERA = "sensor_msgs/msg/PointCloud2", "sensor_msgs/msg/Image", "sensor_msgs/msg/CameraInfo"
-COMPRESSED_IMAGE, IMU, PATH = "sensor_msgs/msg/CompressedImage", "sensor_msgs/msg/Imu", "nav_msgs/msg/Path"
-ODOMETRY, POSE_STAMPED = "nav_msgs/msg/Odometry", "geometry_msgs/msg/PoseStamped"
+IMU, ODOMETRY, POSE_STAMPED = "sensor_msgs/msg/Imu", "nav_msgs/msg/Odometry", "geometry_msgs/msg/PoseStamped"
 POSE_COVARIANCE, TRANSFORM = "geometry_msgs/msg/PoseWithCovarianceStamped", "geometry_msgs/msg/TransformStamped"
+POSES = (ODOMETRY, POSE_STAMPED, POSE_COVARIANCE, TRANSFORM)
 TF = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
-INTEGER_M = 1e-3
-"""Unit of integers: REP 118 says so for depth, and PointCloud2 has no unit."""
-FAR_DEPTH_M, FAR_SHARE = 65.5, 0.01
-"""The farthest depth stands for nothing if it exceeds the first, this share of the pixels has it, and all others are
-less than half as far: simulators and converters write 65.535, 1000 or 65504 where they see nothing."""
-CENTRE = 0.2, 0.8
-"""Where a principal point usually is, as a share of the image's size."""
-FOCAL_MIN = 1.0
-"""Minimum focal length of a camera, pixels: some programs give it as a share of the image's size."""
+DEPTHS = {"16UC1": ("u2", 1e-3), "mono16": ("u2", 1e-3), "32FC1": ("f4", 1.0)}
+"""Types and units, metres, of depth images (REP 118). An image called mono16 is one only if the user says so."""
+SAID_DEPTHS = ("16UC1", "32FC1")
+"""Encodings that say that an image is of depth."""
+POINT_TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
+"""Datatypes of PointField."""
 
 
-class CameraInfo(NamedTuple):
-    """A CameraInfo: ``K (3, 3)`` of an image of ``width × height`` pixels, binned by ``binning``; ``roi`` is the part
-    that is sent, as x, y, width, height in unbinned pixels; ``distortion`` names a model with parameters other than
-    zero, else is empty; ``P (3, 3)`` is the K of rectified images, zero if there is none."""
+@functools.cache
+def typestore(ros: int) -> Any:
+    """Definitions of the standard messages of ROS 1 or 2 and of tf."""
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-    K: Array
-    width: int
-    height: int
-    binning: tuple[int, int]
-    roi: tuple[int, int, int, int]
-    distortion: str = ""
-    P: Array = np.zeros((3, 3))
-
-    def equals(self, other: "CameraInfo") -> bool:
-        """Whether all values are equal."""
-        same = np.array_equal(self.K, other.K) and np.array_equal(self.P, other.P)
-        return same and self[1:-1] == other[1:-1]
-
-    def rectified(self) -> "CameraInfo":
-        """The camera of rectified images, without distortion; the same if its P is not given."""
-        return self._replace(K=self.P, distortion="") if _is_calibrated(self.P) else self
+    store = get_typestore(Stores.ROS1_NOETIC if ros == 1 else Stores.ROS2_HUMBLE)
+    for kind in TF:
+        if kind not in store.types:
+            store.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", kind))
+    return store
 
 
 @np.errstate(invalid="ignore", over="ignore")
-def cloud_points(message: Any) -> Array:
+def cloud_points(message: Any, unit_m: float = 1.0) -> Array:
     """Points of a PointCloud2, metres: ``(H, W, 3)`` if it is organised, else ``(N, 3)``. Invalid points are NaN rows.
 
-    Raises `InputError` for missing fields and for sizes that no reading reconciles with the data.
+    Raises `InputError` for missing fields, and for sizes that exceed the data.
     """
-    shape, strides, order, _ = cloud_layout(message)
-    points = np.empty((*shape, 3))
-    for k, raw in enumerate(views(message, shape, strides, order) if points.size else ()):
-        points[..., k] = raw
-        if raw.dtype.kind != "f":
-            points[..., k] *= INTEGER_M
-            points[..., k][no_return(raw)] = np.nan
+    fields, order = {field.name: field for field in message.fields}, ">" if message.is_bigendian else "<"
+    if missing := {*"xyz"} - {*fields}:
+        raise InputError(f"PointCloud2 with fields {', '.join(fields)}; expected {', '.join(sorted(missing))} too")
+    rows, columns, step = int(message.height), int(message.width), int(message.point_step)
+    data = np.frombuffer(message.data, np.uint8)
+    # Some drivers leave row_step zero, or give the size of all data. Data of the size of all points have no padding.
+    row_step = columns * step if rows * columns * step == len(data) else int(message.row_step)
+    points = np.empty((rows, columns, 3))
+    for k, axis in enumerate("xyz"):
+        if fields[axis].datatype not in POINT_TYPES:
+            raise InputError(f"PointCloud2 whose {axis} has datatype {fields[axis].datatype}; expected 1 to 8")
+        kind, offset = np.dtype(order + POINT_TYPES[fields[axis].datatype]), int(fields[axis].offset)
+        if offset + kind.itemsize > step or columns * step > row_step or rows * row_step > len(data):
+            sizes = f"{rows} × {columns} points with point_step {step} and row_step {row_step}"
+            raise InputError(f"PointCloud2 of {sizes} in {len(data)} bytes of data, {axis} at {offset}")
+        if points.size:
+            points[..., k] = np.ndarray((rows, columns), kind, data, offset, (row_step, step))
+    if unit_m != 1:
+        points *= unit_m
     points[~np.isfinite(points[..., 0] + points[..., 1] + points[..., 2])] = np.nan
-    return points if min(shape) > 1 else points.reshape(-1, 3)
+    return points if min(rows, columns) > 1 else points.reshape(-1, 3)
 
 
 @np.errstate(invalid="ignore", over="ignore")
-def depth_points(image: Any, camera: CameraInfo) -> Array:
-    """Points ``(H, W, 3)`` of a depth image in optical axes, metres, NaN where there is no depth; distortion is left.
+def depth_points(image: Any, camera: Any, unit_m: float | None = None) -> Array:
+    """Points ``(H, W, 3)`` of a depth image in optical axes, metres, NaN where there is no depth: 0, less, NaN,
+    infinite, or the largest integer. ``camera``: its CameraInfo, whose distortion is left out.
 
-    No depth is 0, less, NaN, infinite, the largest number of its type, or one far behind all others (`FAR_DEPTH_M`).
     Raises `InputError` for contradicting sizes.
     """
-    shape, strides, order, _ = depth_layout(image)
-    raw = np.ndarray(shape, order + DEPTHS[depth_encoding(image.encoding)], image.data, strides=strides)
-    depth = raw * np.float64(1.0 if raw.dtype.kind == "f" else INTEGER_M)
-    depth[~((depth > 0) & np.isfinite(depth)) | no_return(raw)] = np.nan
-    farthest_m = np.fmax.reduce(depth, axis=None, initial=0)
-    if farthest_m > FAR_DEPTH_M:
-        is_farthest = depth == farthest_m
-        is_shared = is_farthest.sum() >= FAR_SHARE * depth.size
-        if is_shared and 0 < np.fmax.reduce(depth[~is_farthest], initial=0) < 0.5 * farthest_m:
-            depth[is_farthest] = np.nan
-    K, _ = camera_matrix(camera, *shape)
-    right = (np.arange(image.width) - K[0, 2]) / K[0, 0]
-    down = (np.arange(image.height) - K[1, 2]) / K[1, 1]
+    if image.encoding not in DEPTHS:
+        raise InputError(f"Image with encoding {image.encoding!r}; expected a depth image, {', '.join(DEPTHS)}")
+    kind, usual_m = DEPTHS[image.encoding]
+    rows, columns, step = int(image.height), int(image.width), int(image.step)
+    dtype, data = np.dtype((">" if image.is_bigendian else "<") + kind), np.frombuffer(image.data, np.uint8)
+    if columns * dtype.itemsize > step or rows * step > len(data):
+        raise InputError(f"Image of {rows} × {columns} pixels with step {step} in {len(data)} bytes of data")
+    raw = np.ndarray((rows, columns), dtype, data, strides=(step, dtype.itemsize))
+    depth = raw * np.float64(usual_m if unit_m is None else unit_m)
+    largest = np.iinfo(dtype).max if dtype.kind == "u" else np.inf
+    depth[~((depth > 0) & np.isfinite(depth)) | (raw == largest)] = np.nan
+    K = camera_matrix(camera, rows, columns)
+    right = (np.arange(columns) - K[0, 2]) / K[0, 0]
+    down = (np.arange(rows) - K[1, 2]) / K[1, 1]
     return np.stack([depth * right, depth * down[:, None], depth], axis=-1)
 
 
-def camera_of(message: Any) -> CameraInfo:
-    """The camera of a CameraInfo; ROS 1 writes its K in upper case."""
-    roi, parameters = message.roi, np.asarray(getattr(message, "d", getattr(message, "D", ())), dtype=float)
-    return CameraInfo(
-        np.array(getattr(message, "k", getattr(message, "K", None)), dtype=float).reshape(3, 3),
-        int(message.width), int(message.height), (max(int(message.binning_x), 1), max(int(message.binning_y), 1)),
-        (int(roi.x_offset), int(roi.y_offset), int(roi.width), int(roi.height)),
-        str(message.distortion_model) if parameters.any() else "",
-        np.array(getattr(message, "p", getattr(message, "P", None)), dtype=float).reshape(3, 4)[:, :3],
-    )  # fmt: skip
+def camera_matrix(camera: Any, rows: int, columns: int) -> Array:
+    """``K (3, 3)`` of an image of this size from its CameraInfo, with region and binning as that defines them.
 
-
-def _is_calibrated(K: Array) -> bool:
-    below = np.abs(np.tril(K, -1)).max(initial=0.0)  # rounding may leave something
-    return bool(np.isfinite(K).all() and min(K[0, 0], K[1, 1]) > FOCAL_MIN and below < 1e-6 * K[0, 0])
-
-
-def _is_usual(K: Array, height: int, width: int) -> bool:
-    """Whether the principal point is near the middle of an image."""
-    share = K[:2, 2] / (width, height)
-    return bool(CENTRE[0] <= share.min() and share.max() <= CENTRE[1])
-
-
-def camera_matrix(camera: CameraInfo, height: int, width: int) -> tuple[Array, str]:
-    """``K (3, 3)`` of an image of this size, and a note if it differs from that of its CameraInfo.
-
-    Region, binning and a whole ratio of sizes are accounted for as in ROS's image_geometry. Raises `InputError`.
+    Raises `InputError` if it is of another size, or not calibrated.
     """
-    K, (x, y, part_width, part_height) = camera.K.copy(), camera.roi
-    if not _is_calibrated(K):
+    K = np.array(getattr(camera, "k", getattr(camera, "K", None)), dtype=float).reshape(3, 3)  # ROS 1 has K
+    if not np.isfinite(K).all() or min(K[0, 0], K[1, 1]) <= 0:
         raise InputError(f"CameraInfo with K {K.ravel().tolist()}; expected that of a calibrated camera")
-    whole = camera.width, camera.height
-    is_central = 0 <= K[0, 2] <= width and 0 <= K[1, 2] <= height  # all that can be checked without a size
-    is_usual = _is_usual(K, height, width)
-    if whole in ((width, height), (0, 0)) and is_central:
-        centre = f"principal point ({K[0, 2]:g}, {K[1, 2]:g}) in {width} × {height} pixels"
-        return K, "" if is_usual else f"{centre}: K of the CameraInfo may be that of another size"
-    if whole == (width, height):
-        centre = f"({K[0, 2]:g}, {K[1, 2]:g})"
-        raise InputError(f"CameraInfo with principal point {centre}; expected one in its {width} × {height} pixels")
-    sizes = f"image of {width} × {height}, CameraInfo of {whole[0]} × {whole[1]}"
-    part = (part_width, part_height) if part_width and part_height else whole
-    for begin, size, binning in (((x, y), part, camera.binning), ((0, 0), whole, (1, 1))):
-        binned = size[0] // binning[0], size[1] // binning[1]
-        for up, down in ((binned, (width, height)), ((width, height), binned)):
-            ratio = up[0] // max(down[0], 1)
-            if ratio and up == (ratio * down[0], ratio * down[1]):
-                scale, scaled = np.array(binning) * (ratio if up is binned else 1 / ratio), K.copy()
-                scaled[:2, 2] -= begin
-                scaled[:2] /= scale[:, None]
-                if is_usual and not _is_usual(scaled, height, width):
-                    return K, f"{sizes}: its K is that of the image already, by its principal point"
-                return scaled, f"{sizes}: its K is scaled"
-    raise InputError(f"{sizes}; expected the same size or a whole ratio")
+    roi, binning = camera.roi, np.array([max(camera.binning_x, 1), max(camera.binning_y, 1)])
+    whole = np.array([camera.width, camera.height])
+    part = np.array([roi.width, roi.height]) if roi.width and roi.height else whole
+    if (part // binning).tolist() == [columns, rows]:
+        K[:2, 2] -= roi.x_offset, roi.y_offset
+        K[:2] /= binning[:, None]
+    elif whole.tolist() != [columns, rows]:
+        both = f"an image of {columns} × {rows} pixels, and a CameraInfo of {whole[0]} × {whole[1]}"
+        raise InputError(f"{both}; expected that of the image")
+    return K
 
 
 def pose_numbers(message: Any, kind: str) -> list[float]:
@@ -157,6 +123,16 @@ def stamp_of(message: Any) -> float:
     return float((stamp.sec * 10**9 + stamp.nanosec) / 10**9)
 
 
+def frames_of(message: Any) -> tuple[str, str]:
+    """Frame and child frame of a message, "" if it has none; ROS 1 allowed a slash before a name."""
+    return message.header.frame_id.lstrip("/"), getattr(message, "child_frame_id", "").lstrip("/")
+
+
 def numbers(*parts: Any) -> list[float]:
     """Components of vectors and quaternions in one list."""
     return [float(getattr(part, axis)) for part in parts for axis in "xyzw" if hasattr(part, axis)]
+
+
+def measures_all(imu: Any) -> bool:
+    """Whether an Imu measures acceleration and rate: its definition says that it does not by −1 in a covariance."""
+    return -1 not in (imu.angular_velocity_covariance[0], imu.linear_acceleration_covariance[0])

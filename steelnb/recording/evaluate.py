@@ -16,6 +16,7 @@ from steelnb.fusion.structure import Structure
 from steelnb.io import read_truth
 from steelnb.io.trajectories import interpolate
 from steelnb.metrics import score_trajectory
+from steelnb.settings import RecordingOptions
 
 TIMES = ("frame_median_ms", "frame_p95_ms", "frame_p99_ms", "frame_max_ms", "on_time_share")
 """Measured times, which differ between runs on the same recording."""
@@ -33,13 +34,13 @@ class References(NamedTuple):
     notes: tuple[str, ...]
 
 
-def truth_of(flight: Flight, recording: Path | str, name: str | None) -> Trajectory | None:
-    """The truth of a recording, as `read_truth` finds it. Raises `InputError` if the file that ``name`` gives has fewer
+def truth_of(flight: Flight, recording: Path | str, options: RecordingOptions) -> Trajectory | None:
+    """The truth of a recording, as `read_truth` finds it. Raises `InputError` if the file that the user names has fewer
     than two of the scans."""
-    truth = read_truth(recording, truth=name)
-    if name is not None and truth is not None and at_scans(flight.prior, truth, name)[0] is None:
+    truth = read_truth(recording, options)
+    if options.truth is not None and truth is not None and at_scans(flight.prior, truth, options.truth)[0] is None:
         spans = [f"{each.stamp_s[0]:.3f} to {each.stamp_s[-1]:.3f} s" for each in (truth, flight.prior)]
-        raise InputError(f"{name}: its poses at {spans[0]} match fewer than two scans, at {spans[1]}")
+        raise InputError(f"{options.truth}: its poses at {spans[0]} match fewer than two scans, at {spans[1]}")
     return truth
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from steelnb.core.errors import InputError
 from steelnb.core.types import Array, Flight
 from steelnb.points import voxel_grid
-from steelnb.settings import CameraSettings, ExperimentSettings, StructureSettings
+from steelnb.settings import ExperimentSettings, StructureSettings
 from steelnb.settings.base import setting_names
 
 FIRST_SCANS = 10
@@ -24,8 +24,6 @@ UNDERGROUND_M = 0.3
 UNDERGROUND_SHARE = 0.01
 """If more than this share of points is below zero by more than `UNDERGROUND_M`, the world's zero is not the ground."""
 NO_FLOOR_M = -1e6
-MEDIAN_MAX_M = 300.0
-"""No sensor on a drone has half of its returns beyond this range."""
 LENGTHS = {
     "preprocess.voxel_leaf_m": 1,
     "hough.dx_m": 1, "hough.gap_max_m": 1, "hough.length_min_m": 1, "hough.density_min_per_m": -1,
@@ -50,7 +48,7 @@ class Scene:
 
     @classmethod
     def of(cls, flight: Flight) -> "Scene":
-        """The scene in the first scans of a flight. Raises `InputError`, also for scans in millimetres."""
+        """The scene in the first scans of a flight."""
         first, clouds = flight.first(FIRST_SCANS), []
         for scan in first.scans:
             points = np.asarray(scan.points, dtype=float).reshape(-1, 3)
@@ -63,9 +61,6 @@ class Scene:
         height_m = np.concatenate([cloud @ z[:3] + z[3] for cloud, z in zip(clouds, up, strict=True)])
         seen = next(cloud for cloud in clouds if len(cloud))
         median_m, far_m = np.percentile(range_m, [50, 99])
-        if median_m > MEDIAN_MAX_M:
-            far = f"half of the returns are farther than {median_m:.4g}: it looks like millimetres"
-            raise InputError(f"{flight.name}: {far}; expected metres")
         return cls(float(far_m), float(median_m), float((height_m < -UNDERGROUND_M).mean()), seen)
 
     def overrides(self, preset: ExperimentSettings) -> dict[str, float]:
@@ -113,7 +108,7 @@ def recording_settings(
         if ExperimentSettings.table_of(name) != "odometry" and name not in CALIBRATION:
             raise InputError(
                 f"{name}: a setting of simulated flights, which changes nothing in a recording; expected one of the"
-                f" odometry, {', '.join(CALIBRATION)}, or --range-max for the range"
+                f" odometry, {', '.join(CALIBRATION)}, or --range for the range"
             )
     seen, before = settings.odometry.preprocess, preset.odometry.preprocess
     seen.check_range(range_max_m)
@@ -121,19 +116,6 @@ def recording_settings(
     also |= {"floor_m": seen.floor_m} if seen.floor_m != before.floor_m else {}
     # Uncorrected poses are not adjusted, and smoothed ones already are.
     return settings, StructureSettings(adjust=method != "none" and not settings.odometry.smooth, **also)
-
-
-def parse_mount(text: str | None) -> Array | None:
-    """``T_drone_sensor (4, 4)`` from x, y, z, roll, pitch, yaw, metres and degrees, as text. Raises `InputError`."""
-    if text is None:
-        return None
-    try:
-        x, y, z, roll, pitch, yaw = map(float, text.split(","))
-        if not np.isfinite([x, y, z, roll, pitch, yaw]).all():
-            raise ValueError
-    except ValueError:
-        raise InputError(f"--mount {text}: expected six numbers, such as 0.06,0,0,0,0,0") from None
-    return CameraSettings(mount_m=(x, y, z), mount_rpy_deg=(roll, pitch, yaw)).T_drone_sensor
 
 
 def settings_line(settings: ExperimentSettings) -> str:

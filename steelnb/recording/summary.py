@@ -6,6 +6,7 @@ from scipy.spatial.transform import Rotation
 
 from steelnb.core.types import Flight
 from steelnb.fusion.structure import Structure
+from steelnb.recording.settings import Scene
 
 ERRORS = {"ate_rmse_m": "rms", "error_mean_m": "mean", "error_max_m": "largest", "error_final_m": "last"}
 WARNINGS = {
@@ -15,30 +16,31 @@ WARNINGS = {
 """Warnings about a run that ended without an error but is useless. The key is the number that is zero then."""
 
 
-def opened_lines(flight: Flight) -> tuple[str, ...]:
-    """Lines of text on what was read from a recording: topics, mount, frames, scans, and what was skipped or
-    contradicted itself."""
+def opened_lines(flight: Flight, scene: Scene) -> tuple[str, ...]:
+    """A line each on scans, poses, frames, clock, mount and cloud: what was taken, from where, and numbers from which a
+    person sees that it is wrong; and one on what was skipped."""
     x, y, z = flight.T_drone_sensor[:3, 3]
     yaw, pitch, roll = Rotation.from_matrix(flight.T_drone_sensor[:3, :3]).as_euler("ZYX", degrees=True)
-    topics = ", ".join(f"{part} {flight.facts[part]}" for part in ("scans", "poses", "imu") if part in flight.facts)
-    skipped = "; ".join(f"{number} {reason}" for reason, number in sorted(flight.skipped.items()))
+    place = f"x {x:.3f}, y {y:.3f}, z {z:.3f} m, roll {roll:.1f}, pitch {pitch:.1f}, yaw {yaw:.1f}°"
     stamp_s = flight.prior.stamp_s
-    return (
-        f"read      {flight.name}: {topics}",
-        f"mount     at x {x:.3f}, y {y:.3f}, z {z:.3f} m, roll {roll:.1f}, pitch {pitch:.1f}, yaw {yaw:.1f}° "
-        f"({flight.facts['mount']})",
-        *([f"frames    {flight.facts['frames']}"] if "frames" in flight.facts else []),
-        f"scans     {len(stamp_s)} with a pose over {np.ptp(stamp_s):.1f} s"
-        + (f", {1 / np.median(np.diff(stamp_s)):.4g} a second" if len(stamp_s) > 1 else ""),
-        *([f"skipped   {skipped}"] if skipped else []),
-        *([f"note      {flight.facts['notes']}"] if "notes" in flight.facts else []),
-    )
+    rate = f", {1 / np.median(np.diff(stamp_s)):.4g} a second" if len(stamp_s) > 1 else ""
+    skipped = "; ".join(f"{number} {reason}" for reason, number in sorted(flight.skipped.items()))
+    said = {
+        **{name: flight.facts[name] for name in ("scans", "poses", "frames", "clock") if name in flight.facts},
+        "mount": f"{place} ({flight.facts.get('mount', 'identity')})",
+        **({"imu": flight.facts["imu"]} if "imu" in flight.facts else {}),
+        "cloud": f"ranges of the first scans: {scene.median_m:.3g} m in the median, 99 % below {scene.range_m:.3g} m; "
+        f"{len(scene.points)} points in the first",
+        "used": f"{len(stamp_s)} scans with a pose over {np.ptp(stamp_s):.1f} s{rate}",
+        **({"skipped": skipped} if skipped else {}),
+    }
+    return (f"read      {flight.name}", *(f"{name:9} {text}" for name, text in said.items()))
 
 
 def result_lines(numbers: dict[str, float], labels: dict[str, str], structure: Structure) -> list[str]:
     """Lines of text. ``labels``: prefix of the names of numbers → label of the path."""
     unused = [f"{count} {name.partition(': ')[2]}" for name, count in numbers.items() if name.startswith("not used: ")]
-    lines = [f"used      {numbers['used']} scans" + (f"; not used: {', '.join(unused)}" if unused else "")]
+    lines = [f"corrected {numbers['used']} scans" + (f"; not used: {', '.join(unused)}" if unused else "")]
     if numbers["prior_followed"]:
         where = "of a wall or of flat ground: along it the prior was followed"
         lines.append(f"weak      {numbers['prior_followed']} scans {where}")

@@ -9,12 +9,22 @@ from scipy.spatial.transform import Rotation
 
 from steelnb.core.types import Array, Flight, Imu, Scan, Trajectory
 from steelnb.io.bag_writer import Messages
-from steelnb.io.containers import typestore
-from steelnb.io.messages import CAMERA, CLOUD, IMAGE, IMU, ODOMETRY, PATH, POSE_COVARIANCE, POSE_STAMPED, TF, TRANSFORM
+from steelnb.io.messages import (
+    CAMERA,
+    CLOUD,
+    IMAGE,
+    IMU,
+    ODOMETRY,
+    POSE_COVARIANCE,
+    POSE_STAMPED,
+    TF,
+    TRANSFORM,
+    typestore,
+)
 
 KINDS = ("a.bag", "a.mcap", "a.db3")
 TRIALS = int(os.environ.get("STEELNB_FUZZ", "100"))
-"""Damaged files of each format, and a third of the damaged messages."""
+"""Damaged files of each format."""
 STAMPS = np.round(0.2 * np.arange(5), 9)
 POINTS = np.arange(60, dtype=float).reshape(4, 5, 3) + 1
 
@@ -92,13 +102,6 @@ class Bagged:
             message = self.make.imu(ns(stamp), *readings)
             message.header.frame_id = frame
             self.rows.append((topic, IMU, float(stamp), message))
-        return self
-
-    def path_of(self, trajectory, stamp, frame="map") -> "Bagged":
-        """A Path of these poses, recorded at a stamp."""
-        each = [self.make.odometry(ns(s), T) for s, T in zip(trajectory.stamp_s, trajectory.T_world_drone, strict=True)]
-        each = [self.make.make(POSE_STAMPED, one.header, one.pose.pose) for one in each]
-        self.rows.append(("/path", PATH, float(stamp), self.make.make(PATH, self.make.header(ns(stamp), frame), each)))
         return self
 
     def images(self, topic, pixels, encoding, frame="camera_optical_frame", stamps=STAMPS) -> "Bagged":

@@ -1,243 +1,321 @@
-"""Reading clouds of every format."""
+"""Files of points are read as they say, as the user states, or refused with the option to write."""
 
+import io
+import os
+import struct
 from pathlib import Path
 from typing import Any
 
 import laspy
 import numpy as np
-import open3d
 import pytest
-import trimesh
+from pypcd4 import Encoding, PointCloud
 
 from steelnb.core.errors import InputError
-from steelnb.io import read_cloud
-from steelnb.io.clouds import read_points
+from steelnb.io.clouds import read_cloud, read_points, write_map
+from steelnb.settings import RecordingOptions
+from tests.io.samples import TRIALS
 
+POINTS = np.round(np.random.default_rng(0).uniform(1, 9, (40, 3)), 3)
+UTM = np.array([299100.0, 2801400.0, 1900.0])
+NONE = RecordingOptions()
 FORMATS = (
-    "a.npy", "binary.ply", "text.ply", "binary.pcd", "text.pcd", "compressed.pcd", "a.las", "a.laz", "a.xyz", "a.csv",
+    "text.pcd", "binary.pcd", "compressed.pcd", "text.ply", "binary.ply", "a.las", "a.laz", "a.npy", "a.xyz", "a.csv",
 )  # fmt: skip
-POINTS = np.round(np.random.default_rng(0).normal(size=(400, 3)), 3).astype(np.float32).astype(np.float64)
 
 
-def save(path: Path, points: np.ndarray = POINTS) -> Path:
-    ending, text = path.suffix, path.stem == "text"
-    if ending == ".npy":
-        np.save(path, points)
-    elif ending == ".ply":
-        path.write_bytes(trimesh.PointCloud(points).export(file_type="ply", encoding="ascii" if text else "binary"))
-    elif ending == ".pcd":
-        cloud = open3d.t.geometry.PointCloud(open3d.core.Tensor(points.astype(np.float32)))
-        open3d.t.io.write_point_cloud(str(path), cloud, write_ascii=text, compressed=path.stem == "compressed")
-    elif ending in (".las", ".laz"):
-        file = laspy.create(point_format=6, file_version="1.4")
-        file.header.scales = [1e-6] * 3
-        file.x, file.y, file.z = points.T
-        file.write(str(path))
+def save(path: Path, points: np.ndarray = POINTS, kind: str = "f8") -> Path:
+    encodings = {"text.pcd": Encoding.ASCII, "compressed.pcd": Encoding("binary_compressed")}
+    if path.suffix == ".pcd":
+        types = (np.dtype(kind).newbyteorder("=").type,) * 3
+        cloud = PointCloud.from_points([column.astype(kind) for column in points.T], ("x", "y", "z"), types)
+        cloud.save(path, encodings.get(path.name, Encoding.BINARY))
+    elif path.name == "binary.ply":
+        write_map(path, points, np.zeros(len(points), dtype=int))
+    elif path.suffix == ".ply":
+        properties = "".join(f"property double {axis}\n" for axis in "xyz")
+        rows = "".join(f"{x!r} {y!r} {z!r}\n" for x, y, z in points.tolist())
+        path.write_text(f"ply\nformat ascii 1.0\nelement vertex {len(points)}\n{properties}end_header\n{rows}")
+    elif path.suffix in (".las", ".laz"):
+        header = laspy.LasHeader(point_format=6, version="1.4")
+        header.scales, header.offsets = np.full(3, 1e-3), np.floor(points.min(axis=0))
+        las = laspy.LasData(header)
+        las.xyz = points
+        las.write(path)
+    elif path.suffix == ".npy":
+        np.save(path, points.astype(kind))
     else:
-        np.savetxt(path, points, fmt="%.9g", delimiter="," if ending == ".csv" else " ")
+        np.savetxt(path, points, fmt="%.17g", delimiter="," if path.suffix == ".csv" else " ")
     return path
 
 
 @pytest.mark.parametrize("name", FORMATS)
-def test_every_format_is_read_exactly_and_truncated_files_are_refused(name: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize("origin", [np.zeros(3), UTM])
+def test_what_is_written_is_read_and_half_of_it_refused(name: str, origin: np.ndarray, tmp_path: Path) -> None:
+    path = save(tmp_path / name, POINTS + origin)
+    cloud = read_cloud(path)
+    np.testing.assert_allclose(cloud.points + cloud.origin, POINTS + origin, atol=1e-9)
+    assert (cloud.invalid, cloud.duplicates) == (0, 0)
+    assert np.abs(cloud.points).max() < 200
+    np.testing.assert_allclose(cloud.extent_m, np.ptp(POINTS, axis=0), atol=1e-9)
+    assert "1 m" in cloud.facts["unit"]
+    whole = path.read_bytes()
+    end = len(whole) // 2 - 3
+    if name in ("a.xyz", "a.csv"):  # a line that ends within its last number cannot be told from a whole one
+        end = whole[:end].rfind(b"\n") + 4
+    path.write_bytes(whole[:end])
+    with pytest.raises(InputError, match=path.name):
+        read_cloud(path)
+
+
+@pytest.mark.parametrize("name", FORMATS)
+def test_a_unit_scales_the_points_and_the_metre_changes_nothing(name: str, tmp_path: Path) -> None:
     path = save(tmp_path / name)
-    # LAS is rounded to its scale, text to nine digits.
-    rounded = {".las": 5e-7, ".laz": 5e-7, ".xyz": 1e-8, ".csv": 1e-8}
-    exact = rounded.get(path.suffix, 1e-7 if path.stem == "text" else 0.0)
-    np.testing.assert_allclose(read_points(path), POINTS, rtol=0, atol=exact)
-    if path.suffix not in (".xyz", ".csv"):  # these have no header with the number of points
-        path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
-        with pytest.raises(InputError, match=rf"{path.name}: not a {path.suffix[1:].upper()} file of points: "):
-            read_points(path)
+    plain = read_points(path, NONE)
+    np.testing.assert_array_equal(read_points(path, RecordingOptions(unit="m")), plain)
+    np.testing.assert_allclose(read_points(path, RecordingOptions(unit="0.25mm")), plain * 0.25e-3)
+    assert "--unit" in read_cloud(path, unit="ft").facts["unit"]
+
+
+def test_an_origin_far_away_shifts_the_cloud_to_the_bit(tmp_path: Path) -> None:
+    near, far = (read_cloud(save(tmp_path / "a.npy", POINTS + at)) for at in (UTM, UTM + np.array([1e5, 0, 0])))
+    np.testing.assert_array_equal(near.points, far.points)
+    np.testing.assert_array_equal(far.origin - near.origin, [1e5, 0, 0])
+
+
+def test_points_without_a_return_and_duplicates_are_dropped_and_counted(tmp_path: Path) -> None:
+    without = [[np.nan, 1, 1], [1, np.inf, 1], [0, 0, 0], [1, 1, np.finfo(np.float32).max]]
+    cloud = read_cloud(save(tmp_path / "a.npy", np.concatenate([POINTS, without, POINTS[:2], [[0.0, 1, 0]]])))
+    np.testing.assert_array_equal(cloud.points, [*POINTS, [0, 1, 0]])
+    assert (cloud.invalid, cloud.duplicates) == (4, 2)
+    with pytest.raises(InputError, match="at least two"):
+        read_cloud(save(tmp_path / "a.npy", np.ones((9, 3))))
+
+
+@pytest.mark.parametrize("name", ["a.npy", "a.pcd"])
+def test_scans_keep_their_rows(name: str, tmp_path: Path) -> None:
+    rows = POINTS.reshape(5, 8, 3).copy()
+    rows[1, 2] = np.nan
+    path = save(tmp_path / name, rows.reshape(-1, 3))
+    if name == "a.npy":
+        np.save(path, rows)
+    else:
+        path.write_bytes(path.read_bytes().replace(b"WIDTH 40\nHEIGHT 1", b"WIDTH 8\nHEIGHT 5"))
+    np.testing.assert_array_equal(read_points(path, NONE), rows)
+
+
+def pcd(data: str = "binary", **changed: str | None) -> bytes:
+    lines = {"VERSION": "0.7", "FIELDS": "x y z", "SIZE": "4 4 4", "TYPE": "F F F", "COUNT": "1 1 1"}
+    lines |= {"WIDTH": "40", "HEIGHT": "1", "VIEWPOINT": "0 0 0 1 0 0 0", "POINTS": "40", "DATA": data} | changed
+    return "".join(f"{name} {value}\n" for name, value in lines.items() if value is not None).encode()
+
+
+PADDED = np.zeros(40, [("x", "<f4"), ("a", "S4"), ("y", "<f4"), ("z", "<f4"), ("i", "<u2"), ("b", "S10")])
+for axis, values in zip("xyz", POINTS.T, strict=True):
+    PADDED[axis] = values
+FLOATS = POINTS.astype("<f4").tobytes()
+PADDING: dict[str, str | None] = {
+    "FIELDS": "x _ y z ring _", "SIZE": "4 1 4 4 2 1", "TYPE": "F U F F U U", "COUNT": "1 4 1 1 1 10",
+}  # fmt: skip
 
 
 @pytest.mark.parametrize(
-    ("name", "content", "message"),
+    "content",
     [
-        ("a.npy", b"\x93NUMPY", "not a NPY file of points"),
-        ("a.e57", b"", r"ending '.e57'; expected one of .npy, .npz, .ply"),
-        ("a.txt", b"1 2 3\n1 2 3\nnan 1 2\n", "1 distinct finite points of 3; expected at least two"),
+        pcd(**PADDING) + PADDED.tobytes(),
+        pcd(POINTS=None) + FLOATS,
+        pcd(COUNT=None, VERSION=None, VIEWPOINT=None) + FLOATS,
+        b"# a comment\n\n" + pcd().replace(b"\n", b"\r\n") + FLOATS,
+        pcd(WIDTH=None, HEIGHT=None) + FLOATS + b"\0" * 4096,
+        pcd("ascii") + b"".join(b"%r  %r\t%r\r\n" % tuple(row) for row in POINTS.tolist()) + b"\n",
+    ],
+    ids=["padding", "no points", "no count", "windows", "only points", "text"],
+)
+def test_headers_of_pcd_imply_what_they_leave_out(content: bytes, tmp_path: Path) -> None:
+    (tmp_path / "a.pcd").write_bytes(content)
+    np.testing.assert_allclose(read_points(tmp_path / "a.pcd", NONE), POINTS, rtol=1e-6)
+
+
+@pytest.mark.parametrize("kind", ["f4", "f8", "i1", "i2", "i4", "i8", "u1", "u2", "u4", "u8"])
+@pytest.mark.parametrize("name", ["text.pcd", "binary.pcd", "compressed.pcd"])
+def test_every_type_of_pcd_is_read(kind: str, name: str, tmp_path: Path) -> None:
+    whole = np.round(POINTS)
+    np.testing.assert_array_equal(read_points(save(tmp_path / name, whole, kind), NONE), whole)
+
+
+@pytest.mark.parametrize(
+    ("content", "names"),
+    [
+        (pcd(FIELDS="x y range") + FLOATS, "x, y and z"),
+        (pcd(SIZE="4 4") + FLOATS, "SIZE"),
+        (pcd(POINTS="41") + FLOATS, "WIDTH"),
+        (pcd(POINTS="80", WIDTH="80") + FLOATS, "80"),
+        (pcd("ascii") + b"1 2 3\n", "40"),
+        (pcd("ascii", WIDTH="2", POINTS="2") + b"1 2 3\n1 2\n", "line 12"),
+        (pcd("binary_compressed") + struct.pack("<II", 9, 4_000_000_000) + b"\0" * 9, "truncated"),
+        (b"VERSION 0.7\n", "DATA"),
     ],
 )
-def test_invalid_files_are_named_in_the_error(tmp_path: Path, name: str, content: bytes, message: str) -> None:
-    (tmp_path / name).write_bytes(content)
-    with pytest.raises(InputError, match=rf"{name}: .*{message}") as refused:
-        read_cloud(tmp_path / name)
-    assert "\n" not in str(refused.value)
+def test_contradictions_of_pcd_are_refused(content: bytes, names: str, tmp_path: Path) -> None:
+    (tmp_path / "a.pcd").write_bytes(content)
+    with pytest.raises(InputError, match=rf"a\.pcd.*{names}"):
+        read_points(tmp_path / "a.pcd", NONE)
 
 
-def test_invalid_and_duplicate_points_are_dropped_and_map_coordinates_shifted(tmp_path: Path) -> None:
-    np.save(tmp_path / "a.npy", np.concatenate([POINTS, POINTS[:5], [[np.nan, 0, 0], [0, np.inf, 0]]]))
-    cloud = read_cloud(tmp_path / "a.npy")
-    assert (len(cloud), cloud.duplicates, cloud.invalid) == (len(POINTS), 5, 2)
-    assert not cloud.origin.any()
-    np.save(tmp_path / "b.npy", POINTS + np.array([299_100.0, 2_801_400.0, 1_900.0]))
-    far = read_cloud(tmp_path / "b.npy")
-    np.testing.assert_array_equal(far.origin, [299_100.0, 2_801_400.0, 1_900.0])
-    np.testing.assert_allclose(far.points, POINTS, atol=1e-6)
+def test_a_viewpoint_is_said_and_a_mesh_refused(tmp_path: Path) -> None:
+    path = save(tmp_path / "a.pcd")
+    assert "viewpoint" not in read_cloud(path).facts
+    path.write_bytes(path.read_bytes().replace(b"VIEWPOINT 0.0 0.0", b"VIEWPOINT 0.0 4.5"))
+    cloud = read_cloud(path)
+    assert "4.5" in cloud.facts["viewpoint"]
+    np.testing.assert_array_equal(cloud.points, POINTS)
+    mesh = save(tmp_path / "a.ply")
+    face = "element face 1\nproperty list uchar int vertex_indices\nend_header"
+    mesh.write_text(mesh.read_text().replace("end_header", face) + "3 0 1 2\n")
+    with pytest.raises(InputError, match="mesh: 1 faces"):
+        read_cloud(mesh)
 
 
-def test_map_coordinates_in_single_precision_are_refused(tmp_path: Path) -> None:
-    tower = np.random.default_rng(1).uniform(0, [3, 3, 16], (500, 3)) + np.array([456_789.0, 5_412_345.0, 100.0])
-    np.save(tmp_path / "a.npy", tower.astype(np.float32))
-    np.savetxt(tmp_path / "b.xyz", tower, fmt="%.1f")
-    for name, step in (("a.npy", "x is around 456790 in steps of 0.0312"), ("b.xyz", "in steps of 0.1 m")):
-        with pytest.raises(InputError, match=f"{name}: .*{step}.*; expected doubles"):
-            read_cloud(tmp_path / name)
-    np.savetxt(tmp_path / "c.xyz", tower, fmt="%.2f")
-    assert len(read_cloud(tmp_path / "c.xyz")) == 500
+def test_withheld_points_of_las_are_no_returns(tmp_path: Path) -> None:
+    path = save(tmp_path / "a.laz")
+    las = laspy.read(path)
+    las.withheld[:3] = 1
+    las.write(path)
+    assert np.isnan(read_points(path, NONE)).any(axis=1).tolist() == [True] * 3 + [False] * 37
 
 
-def test_a_cloud_in_millimetres_is_refused_and_a_large_one_in_metres_is_read(tmp_path: Path) -> None:
-    np.save(tmp_path / "tower.npy", 1000 * POINTS)
-    with pytest.raises(InputError, match=r"tower.npy: a spacing of .* over .* looks like millimetres; expected"):
-        read_cloud(tmp_path / "tower.npy")
-    np.save(tmp_path / "tower.npy", 300 * POINTS)
-    with pytest.raises(InputError, match="looks like centimetres or millimetres; expected metres"):
-        read_cloud(tmp_path / "tower.npy")
-    line = np.random.default_rng(1).uniform(0, [2000, 1, 1], (20_000, 3))  # of power, with points 0.2 m apart
-    np.save(tmp_path / "line.npy", line)
-    assert len(read_cloud(tmp_path / "line.npy")) == 20_000
+WKT = 'PROJCS["a",GEOGCS["b",UNIT["degree",0.0174532925]],UNIT["US survey foot",0.304800609601219]]'
 
 
-def test_scans_keep_their_rows_and_their_invalid_points(tmp_path: Path) -> None:
-    rows = POINTS.reshape(20, 20, 3).copy()
-    rows[3, 4, 1] = np.inf
-    np.save(tmp_path / "a.npy", rows)
-    read = read_points(tmp_path / "a.npy")
-    assert read.shape == rows.shape
-    assert np.isnan(read[3, 4]).all()
-    assert np.isnan(read).sum() == 3
+@pytest.mark.parametrize("wkt", [WKT, WKT.replace("US survey foot", "foot").replace("609601219", "")])
+def test_feet_that_a_coordinate_system_says_are_refused_until_stated(wkt: str, tmp_path: Path) -> None:
+    path = save(tmp_path / "a.las")
+    las = laspy.read(path)
+    las.vlrs.append(laspy.vlrs.known.WktCoordinateSystemVlr(wkt))
+    las.write(path)
+    with pytest.raises(InputError, match="--unit ft"):
+        read_cloud(path)
+    np.testing.assert_allclose(read_cloud(path, unit="ft").points, POINTS * 0.3048)
+    las.vlrs[-1].string = wkt.replace("US survey foot", "metre").replace("foot", "metre").replace("0.3048", "1.0 ")
+    las.write(path)
+    np.testing.assert_allclose(read_cloud(path).points, POINTS)
+
+
+ROWS = [f"{x} {y} {z}" for x, y, z in POINTS.tolist()]
 
 
 @pytest.mark.parametrize(
-    ("arrays", "read"),
+    "text",
     [
-        ({"arr_0": POINTS}, POINTS), ({"a": POINTS.T}, POINTS), ({"frame": POINTS.reshape(20, 20, 3)}, None),
-        ({"points": POINTS, "normals": POINTS + 1, "labels": np.arange(400)}, POINTS),
-        ({"P": POINTS, "K": np.arange(9.0)}, POINTS),
-        ({"x": POINTS[:, 0], "y": POINTS[:, 1], "z": POINTS[:, 2]}, POINTS),
-        ({"a": POINTS, "b": POINTS}, r"arrays a \(400, 3\), b \(400, 3\); expected one of points"),
-        ({"points": POINTS, "xyz": POINTS}, "arrays points .*; expected one"), ({}, "arrays none; expected one"),
-        ({"a": np.array([{}], dtype=object)}, "not of numbers"), ({"a": np.float64(3)}, r"shape \(\); expected"),
+        "\n".join(ROWS),
+        "\ufeff" + "\r\n".join(ROWS) + "\r\n\r\n",
+        "\n".join(row.replace(" ", ", ") for row in ROWS),
+        "\n".join(row.replace(" ", ";") for row in ROWS),
+        "\n".join(row.replace(" ", "\t") for row in ROWS),
+        "# of a scanner\n//X Y Z\n" + "\n".join(ROWS),
+        "\n".join(["40", *ROWS]),
+        '"Z [m]","X [m]","label","Y [m]"\n' + "\n".join(f"{z},{x},#3,{y}" for x, y, z in POINTS.tolist()),
+        "x(mm);y(mm);z(mm)\n" + "\n".join(f"{1e3 * x};{1e3 * y};{1e3 * z}" for x, y, z in POINTS.tolist()),
     ],
-)  # fmt: skip
-def test_an_archive_of_arrays_has_one_of_points(arrays: Any, read: Any, tmp_path: Path) -> None:
-    np.savez_compressed(tmp_path / "a.npz", **arrays)
-    if isinstance(read, str):
-        with pytest.raises(InputError, match=f"a.npz: not a NPZ file of points: .*{read}"):
-            read_points(tmp_path / "a.npz")
-    else:
-        np.testing.assert_array_equal(read_points(tmp_path / "a.npz"), arrays["frame"] if read is None else read)
+)
+def test_text_is_read_by_its_names_or_three_columns(text: str, tmp_path: Path) -> None:
+    (tmp_path / "a.txt").write_text(text.replace("#3", "steel"), encoding="utf-8")
+    np.testing.assert_allclose(read_cloud(tmp_path / "a.txt").points, POINTS, rtol=1e-12)
+
+
+@pytest.mark.parametrize("name", ["a.txt", "a.csv", "a.npy"])
+@pytest.mark.parametrize("columns", ["t,x,y,z", "x,y,z,_", "_,_,_,x,y,z", "z,_,y,x,t"])
+def test_columns_without_names_are_refused_until_stated(name: str, columns: str, tmp_path: Path) -> None:
+    order = columns.split(",")
+    others = np.random.default_rng(1).uniform(0, 9, (40, len(order)))
+    others[:, [order.index(axis) for axis in "xyz"]] = POINTS
+    path = save(tmp_path / name, others)
+    with pytest.raises(InputError, match="--columns"):
+        read_cloud(path)
+    np.testing.assert_array_equal(read_cloud(path, columns=order).points, POINTS)
+    with pytest.raises(InputError, match="--columns"):
+        read_cloud(path, columns=[*order, "_"])
+
+
+def test_a_bar_along_x_does_not_count_its_lines(tmp_path: Path) -> None:
+    bar = np.column_stack([0.05 * np.arange(1, 100), np.zeros((99, 2))])
+    np.testing.assert_allclose(read_cloud(save(tmp_path / "bar.xyz", bar)).points, bar)
 
 
 @pytest.mark.parametrize(
-    ("shape", "read"),
+    ("text", "says"),
     [
-        ((3, 100), (100, 3)), ((4, 100), (100, 3)), ((100, 6), (100, 3)), ((3, 20, 30), (20, 30, 3)), ((4, 3), (4, 3)),
-        ((1, 50, 4), (1, 50, 3)), ((3, 3), None), ((3, 4), None), ((4, 16), None), ((100, 64), None), ((20, 30), None),
-        ((3, 10, 10), None), ((3, 10, 3), (3, 10, 3)), ((2, 100), None), ((0, 3), None), ((7,), None),
-        ((2, 2, 2, 3), None),
+        ("1,200 2,300 3,400\n1,300 2,300 3,400\n", "expected"),
+        ("1,200, 2,300, 3,400\n1,300, 2,300, 3,400\n", "--columns"),
+        ("1,2;2,3;3,4\n1,3;2,3;3,4\n", "decimal point"),
+        ("1 2 3\n1 2\n", "line 2"),
+        ("1 2 3\n1 2 3 4\n", "line 2"),
+        ("1 2 3\n1 two 3\n", "two"),
+        ("easting northing height\n1 2 3\n", "--columns"),
+        ("x y z\n1 2 3 4\n", "x y z"),
+        ("x[m],y[m],z[ft]\n1,2,3\n", "one unit"),
+        ("7\n1 2 3\n1 2 4\n", "expected 7"),
+        ("", "numbers"),
+        ("\0\0\1", "binary"),
     ],
-)  # fmt: skip
-def test_arrays_are_read_if_their_shape_is_clear(
-    shape: tuple[int, ...], read: tuple[int, ...] | None, tmp_path: Path
-) -> None:
-    values = np.random.default_rng(0).normal(size=shape)
-    np.save(tmp_path / "a.npy", values)
-    if read is None:
-        with pytest.raises(InputError, match=r"a.npy: not a NPY file of points: (an array of shape|no points)"):
-            read_points(tmp_path / "a.npy")
-        return
-    expected = values if values.shape[-1] <= 16 else np.moveaxis(values, 0, -1)
-    np.testing.assert_array_equal(read_points(tmp_path / "a.npy"), expected[..., :3])
+)
+def test_unclear_text_is_refused_in_one_line(text: str, says: str, tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text(text)
+    with pytest.raises(InputError, match=says) as refused:
+        read_cloud(tmp_path / "a.csv")
+    assert str(refused.value).count("\n") == 0
 
 
-def test_arrays_with_names_are_read_and_other_types_refused(tmp_path: Path) -> None:
-    named = np.array([(3, 1, 2, 9), (6, 4, 5, 9)], dtype=[("z", "f4"), ("x", "f4"), ("y", "f8"), ("intensity", "u1")])
+@pytest.mark.parametrize("shape", [(3, 40), (40, 2), (40, 5), (2, 5, 4), (40,)])
+def test_arrays_of_another_shape_are_refused(shape: tuple[int, ...], tmp_path: Path) -> None:
+    np.save(tmp_path / "a.npy", np.ones(shape))
+    with pytest.raises(InputError, match="expected"):
+        read_points(tmp_path / "a.npy", NONE)
+
+
+@pytest.mark.parametrize("stored", [np.ones((9, 3), "u1"), np.ones((9, 3), "U3"), np.ones(9, [("x", "f4")])])
+def test_arrays_of_another_type_are_refused(stored: Any, tmp_path: Path) -> None:
+    np.save(tmp_path / "a.npy", stored)
+    with pytest.raises(InputError, match="expected"):
+        read_points(tmp_path / "a.npy", NONE)
+
+
+def test_an_array_with_names_is_read_by_them(tmp_path: Path) -> None:
+    named = np.zeros(40, [("t", "f8"), ("Z", "f4"), ("y", "f8"), ("x", "i2")])
+    named["t"], named["Z"], named["y"], named["x"] = 7, *np.round(POINTS).T[::-1]
     np.save(tmp_path / "a.npy", named)
-    np.testing.assert_array_equal(read_points(tmp_path / "a.npy"), [[1, 2, 3], [4, 5, 6]])
-    np.save(tmp_path / "a.npy", np.array([(1, 2, 3), (4, 5, 6)], dtype=[(axis, "f4") for axis in "XYZ"]))
-    np.testing.assert_array_equal(read_points(tmp_path / "a.npy"), [[1, 2, 3], [4, 5, 6]])
-    np.save(tmp_path / "a.npy", np.column_stack([np.arange(400.0), POINTS]))
-    with pytest.raises(InputError, match="first column counts the lines in steps of 1"):
-        read_points(tmp_path / "a.npy")
-    pairs = np.zeros(4, dtype=[(axis, "f4", 2) for axis in "xyz"])
-    for other in (
-        named[["x", "y"]],
-        pairs,
-        POINTS + 1j,
-        POINTS > 0,
-        POINTS.astype(str),
-        np.array([POINTS, None], object),
-    ):
-        np.save(tmp_path / "a.npy", other, allow_pickle=True)
-        with pytest.raises(InputError, match=r"a.npy: not a NPY file of points: "):
-            read_points(tmp_path / "a.npy")
+    np.testing.assert_array_equal(read_points(tmp_path / "a.npy", NONE), np.round(POINTS))
 
 
-NORMALS = POINTS / np.linalg.norm(POINTS, axis=1, keepdims=True)
-ROW, COLUMN = np.divmod(np.arange(400), 7)
+def test_other_files_and_folders_are_refused(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe.ply")
+    (tmp_path / "a.e57").write_bytes(b"ASTM-E57")
+    for name in ("", "a.e57", "pipe.ply", "missing.ply"):
+        with pytest.raises(InputError, match=r"expected .*"):
+            read_cloud(tmp_path / name)
 
 
-@pytest.mark.parametrize("name", ["a.npy", "a.xyz", "a.csv"])
-@pytest.mark.parametrize(
-    ("columns", "what"),
-    [
-        ((ROW, COLUMN, POINTS, ROW % 3), "holds whole numbers"), ((COLUMN, POINTS), "holds whole numbers"),
-        ((ROW, COLUMN, 7 * COLUMN, POINTS), "holds whole numbers"), ((1.7e9 + 0.1 * ROW, POINTS), "is around 1.7e.09"),
-        ((np.sort(POINTS[:, 0]), POINTS), ""), ((0 * ROW, POINTS), ""), ((ROW, COLUMN, 9 - ROW, NORMALS), ""),
-        ((ROW, COLUMN, 3 + POINTS[:, 2], NORMALS), ""), ((ROW, COLUMN, ROW - COLUMN, POINTS), ""),
-        ((ROW, POINTS[:, :2], COLUMN), ""), ((POINTS, ROW, ROW, ROW), ""),
-    ],
-)  # fmt: skip
-def test_columns_before_x_y_and_z_are_not_taken_for_them(name: str, columns: tuple, what: str, tmp_path: Path) -> None:
-    path = save(tmp_path / name, np.column_stack(columns))
-    if not what:
-        assert len(read_points(path)) == 400
-        return
-    with pytest.raises(InputError, match=rf"{name}: .*its first column {what}.*; expected x, y and z first, or names"):
-        read_points(path)
+@pytest.mark.parametrize("name", FORMATS)
+def test_damaged_files_give_points_or_one_line(name: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    path, rng = save(tmp_path / name), np.random.default_rng(0)
+    whole, refused = path.read_bytes(), 0
+    for _ in range(TRIALS):
+        damaged = bytearray(whole[: int(rng.integers(len(whole)))] if rng.random() < 0.3 else whole)
+        for at in rng.integers(0, max(len(damaged), 1), 3 if damaged else 0):
+            damaged[at] = rng.integers(256)
+        path.write_bytes(damaged)
+        try:
+            assert len(read_points(path, NONE)) > 0
+        except InputError as fault:
+            refused += str(fault).count("\n") == 0
+    assert refused > TRIALS / 10
+    assert capfd.readouterr() == ("", "")
 
 
-def test_a_few_points_kilometres_away_are_left_out_and_counted(tmp_path: Path) -> None:
-    survey = np.array([299_100.0, 5_801_400.0, 120.0])
-    for name, points, strays in (
-        ("zeros", np.concatenate([POINTS + survey, np.zeros((2, 3))]), 1),  # equal ones are duplicates
-        ("far", np.concatenate([POINTS, [[1e5, 0, 0], [0, -2e4, 0]]]), 2),
-        ("a kilometre", np.concatenate([POINTS, [[1e3, 0, 0]]]), 0),
-    ):
-        np.save(tmp_path / f"{name}.npy", points)
-        cloud = read_cloud(tmp_path / f"{name}.npy")
-        assert cloud.strays == strays
-        assert len(cloud) + cloud.duplicates + strays == len(points)
-        assert np.ptp(cloud.points, axis=0).max() < 2e3
+def test_a_map_is_read_by_others(tmp_path: Path) -> None:
+    from trimesh.exchange.ply import load_ply
 
-
-@pytest.mark.parametrize(
-    ("value", "survey", "left_out"),
-    [
-        (-9999, 0, True), (-999, 0, True), (32767, 120, True), (0, 299_100, True), (0, 30, False), (-7777, 0, False),
-        (999, 1000, False),
-    ],
-)  # fmt: skip
-def test_a_coordinate_that_stands_for_no_return_is_left_out(
-    value: float, survey: float, left_out: bool, tmp_path: Path
-) -> None:
-    missing = np.column_stack([POINTS[:40, :2] + survey, np.full(40, value)])
-    np.save(tmp_path / "a.npy", np.concatenate([1.5 * POINTS + survey, missing]))
-    cloud = read_cloud(tmp_path / "a.npy")
-    assert (len(cloud), cloud.strays) == ((400, 40) if left_out else (440, 0))
-
-
-def test_too_many_points_far_from_all_others_are_named(tmp_path: Path) -> None:
-    np.save(tmp_path / "a.npy", np.concatenate([POINTS, POINTS[:40] + 50_000]))
-    with pytest.raises(InputError, match=r"a.npy: 40 of 440 points are more than 10 km from most; expected one site"):
-        read_cloud(tmp_path / "a.npy")
-
-
-def test_a_folder_is_no_file_of_points(tmp_path: Path) -> None:
-    for name in ("scans", "scans.ply"):
-        (tmp_path / name).mkdir()
-        with pytest.raises(InputError, match="a folder; expected a file of points"):
-            read_points(tmp_path / name)
+    write_map(tmp_path / "map.ply", POINTS + UTM, np.arange(40) - 1)
+    found = load_ply(io.BytesIO((tmp_path / "map.ply").read_bytes()))
+    np.testing.assert_array_equal(found["vertices"], POINTS + UTM)
+    np.testing.assert_array_equal(found["metadata"]["_ply_raw"]["vertex"]["data"]["bar"], np.arange(40) - 1)

@@ -1,267 +1,206 @@
-"""Folders of clouds as flights."""
+"""Folders of clouds: which files are scans, what orders them, and where their stamps and poses are from."""
 
-import shutil
 from collections.abc import Callable
-from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from steelnb.core.errors import InputError
-from steelnb.io import read_flight, read_truth, write_tum
+from steelnb.core.types import Trajectory
+from steelnb.io import write_tum
+from steelnb.io.folders import Recorded, open_folder
+from steelnb.settings import RecordingOptions, read_options
 from tests.io.samples import poses
-from tests.io.test_clouds import POINTS
 
-UNIX_S = 1_700_000_000
-DATES = "date and time, UTC"
-
-
-@pytest.fixture
-def folder(tmp_path: Path) -> Path:
-    """Ten clouds, shifted by their numbers, and ten poses."""
-    for k in range(10, 0, -1):
-        np.save(tmp_path / f"scan{k}.npy", POINTS + k)
-    write_tum(tmp_path / "trajectory.tum", poses(10))
-    return tmp_path
+COUNT, BEGIN_S = 12, 1.7e9
+POSES = poses(COUNT, 0.1, BEGIN_S)
+MORE = poses(2 * COUNT, 0.05, BEGIN_S)
 
 
-def dated(ns: int, form: str) -> str:
-    return datetime.fromtimestamp(ns / 1e9, UTC).strftime(form)
+def cloud(k: int) -> np.ndarray:
+    return np.arange(12.0).reshape(4, 3) + k + 1
 
 
-def renamed(folder: Path, name: Callable[[int], object]) -> None:
-    for k in range(1, 11):
-        (folder / f"scan{k}.npy").rename(folder / f"{name(k)}.npy")
+def make(folder: Path, name: Callable[[int], str], trajectory: Trajectory = POSES) -> Path:
+    """Clouds ``name(k).npy``, of which the k-th has `cloud` k, and poses."""
+    for k in range(COUNT):
+        np.save(folder / f"{name(k)}.npy", cloud(k))
+    write_tum(folder / "poses.tum", trajectory)
+    return folder
 
 
-def test_a_folder_of_clouds_is_sorted_by_the_numbers_in_the_names(folder: Path) -> None:
-    write_tum(folder / "groundtruth.tum", poses(10, seed=5))
-    flight = read_flight(folder)
-    np.testing.assert_array_equal(flight.prior.stamp_s, poses(10).stamp_s)
-    for k, scan in enumerate(flight.scans, 1):
-        np.testing.assert_array_equal(scan.points, POINTS + k)
-    np.testing.assert_allclose(read_truth(folder).T_world_drone, poses(10, seed=5).T_world_drone, atol=1e-12)
-    assert read_truth(folder, truth="trajectory.tum") is not None
+def opened(folder: Path, **stated: object) -> Recorded:
+    return open_folder(folder, read_options(folder, **stated))
 
 
+def assert_in_order(found: Recorded, stamp_s: np.ndarray = POSES.stamp_s, scale: float = 1.0) -> None:
+    np.testing.assert_allclose(found.stamp_s, stamp_s, rtol=0, atol=1e-6)
+    for k, decode in enumerate(found.walk(np.arange(len(found.stamp_s)))):
+        np.testing.assert_allclose(decode(), scale * cloud(k))
+
+
+def ns(k: int) -> int:
+    return int(BEGIN_S) * 10**9 + k * 10**8
+
+
+@pytest.mark.parametrize("trajectory", [POSES, MORE], ids=["a pose each", "more poses"])
 @pytest.mark.parametrize(
-    ("begin_s", "name", "units"),
+    ("name", "stated"),
     [
-        (0, lambda ns, k: f"scan_{ns / 1e9:.3f}", "s"),
-        (0, lambda ns, k: f"{ns // 10**6}", "ms"),
-        (0, lambda ns, k: f"{ns:019d}", "ns"),
-        (50, lambda ns, k: f"{ns}", "ns"),
-        (500, lambda ns, k: f"{ns // 1000}", "µs"),
-        (UNIX_S, lambda ns, k: f"{ns / 1e9:.6f}", "s"),
-        (UNIX_S, lambda ns, k: f"{ns / 1e9:.3f}_{k:04d}", "s"),
-        (UNIX_S, lambda ns, k: f"{k}_{ns // 10**6}", "ms"),
-        (UNIX_S, lambda ns, k: f"{ns // 1000}", "µs"),
-        (UNIX_S, lambda ns, k: f"{ns}", "ns"),
-        (UNIX_S, lambda ns, k: f"cloud_{ns // 10**9}_{ns % 10**9:09d}", "s and ns"),
-        (UNIX_S, lambda ns, k: f"{ns // 10**9}_{ns % 10**9}_{k:06d}", "s and ns"),
-        (UNIX_S, lambda ns, k: f"{k:06d}-{ns // 10**9}-{ns % 10**9 // 1000:06d}", "s and µs"),
-        (UNIX_S + 39, lambda ns, k: dated(ns, "%Y-%m-%dT%H-%M-%S.%f"), DATES),
-        (UNIX_S + 39, lambda ns, k: f"tof_{dated(ns, '%Y%m%d_%H%M%S_%f')[:-3]}", DATES),
-        (UNIX_S + 39, lambda ns, k: f"{dated(ns, '%Y%m%d%H%M%S%f')[:-3]}_{k}", DATES),
-        (UNIX_S + 39, lambda ns, k: f"{dated(ns, '%Y%m%d_%H%M%S')}_{ns // 10**6 % 1000}", DATES),
-        (UNIX_S + 39, lambda ns, k: f"{dated(ns + 3_600 * 10**9, '%Y-%m-%dT%H:%M:%S.%f')}+01:00", DATES),
-        (UNIX_S, lambda ns, k: f"rs_{ns / 1e6:.4f}", "ms"),
-        (UNIX_S, lambda ns, k: f"{ns // 10**9}_{ns // 10**6 % 1000}", "s and ms"),
+        (lambda k: f"{BEGIN_S + k / 10:.6f}", {}),
+        (lambda k: f"lidar1_{BEGIN_S + k / 10:.1f}_v2", {}),
+        (lambda k: f"{k}_{BEGIN_S + k / 10:.3f}", {}),
+        (lambda k: f"{ns(k)}", {}),
+        (lambda k: f"{k:04d}_{ns(k)}", {}),
+        (lambda k: f"{ns(k) // 1000}", {"stamps": "us"}),
+        (lambda k: f"{ns(k) // 10**6}", {"stamps": "ms"}),
+        (lambda k: f"a{k}", {"stamps": "stamps.txt"}),
+        (lambda k: f"{ns(k) // 10**9}_{ns(k) % 10**9:09d}", {"stamps": "stamps.txt"}),
     ],
 )
-@pytest.mark.parametrize("step_s", [0.2, 0.05], ids=["a pose a scan", "more poses"])
-def test_stamps_are_read_from_the_names(
-    folder: Path, begin_s: int, name: Callable[[int, int], str], units: str, step_s: float
-) -> None:
-    renamed(folder, lambda k: name(begin_s * 10**9 + 200_000_000 * (k - 1), k))
-    write_tum(folder / "trajectory.tum", poses(round(2 / step_s), step_s=step_s, begin_s=begin_s))
-    flight = read_flight(folder)
-    np.testing.assert_allclose(flight.prior.stamp_s, begin_s + 0.2 * np.arange(10), atol=1e-6)
-    np.testing.assert_array_equal(flight.scans[9].points, POINTS + 10)
-    assert flight.facts["scans"] == f"10 files, stamped by their names ({units})"
-
-
-@pytest.mark.parametrize("count", ["{:04d}", "{:03d}", "{}", "{:06d}"])
-@pytest.mark.parametrize("step", [1, 5])
-def test_numbers_after_the_date_of_the_start_count(folder: Path, count: str, step: int) -> None:
-    renamed(folder, lambda k: f"20231114_221320_{count.format(step * k + (k > 5))}")
-    write_tum(folder / "trajectory.tum", poses(10, begin_s=UNIX_S))
-    flight = read_flight(folder)
-    assert flight.facts["scans"] == "10 files, in the order of their names"
-    np.testing.assert_array_equal(flight.scans[9].points, POINTS + 10)
-
-
-@pytest.mark.parametrize(
-    ("name", "says"),
-    [
-        (
-            lambda k: dated(UNIX_S * 10**9 + k * 500_000_000, "%Y-%m-%d_%H-%M-%S.%f"),
-            "dates of another time than the poses",
-        ),
-        (lambda k: f"{k:04d}_{20 + 0.1 * k:.1f}C", "no stamps in their names"),
-    ],
-)
-def test_digits_of_dates_and_measures_are_no_stamps(folder: Path, name: Callable[[int], str], says: str) -> None:
-    renamed(folder, name)
-    write_tum(folder / "trajectory.tum", poses(300, step_s=0.1))
-    with pytest.raises(InputError, match=f"10 clouds, {says}"):
-        read_flight(folder)
-    write_tum(folder / "trajectory.tum", poses(10))
-    assert read_flight(folder).facts["scans"] == "10 files, in the order of their names"
-
-
-def test_text_files_that_differ_in_numbers_are_clouds_and_bin_is_named(tmp_path: Path) -> None:
-    write_tum(tmp_path / "poses.tum", poses(10))
-    (tmp_path / "velodyne").mkdir()
-    (tmp_path / "velodyne" / "000000.bin").write_bytes(bytes(32))
-    with pytest.raises(InputError, match=r".bin files do not say what is in them; expected .npy"):
-        read_flight(tmp_path)
-    (tmp_path / "clouds").mkdir()
-    for k in range(10):
-        np.savetxt(tmp_path / "clouds" / f"{k}.txt", POINTS.reshape(-1, 3) + k)
-    with pytest.raises(InputError, match="--scans clouds"):
-        read_flight(tmp_path)
-    np.testing.assert_allclose(read_flight(tmp_path, scans="clouds").scans[9].points, POINTS.reshape(-1, 3) + 9)
-
-
-def test_decimals_without_the_zeros_before_them_are_nanoseconds(folder: Path) -> None:
-    renamed(folder, lambda k: f"{UNIX_S}.{30_000_000 * (k - 1)}")
-    write_tum(folder / "trajectory.tum", poses(10, step_s=0.03, begin_s=UNIX_S))
-    flight = read_flight(folder)
-    np.testing.assert_allclose(flight.prior.stamp_s, UNIX_S + 0.03 * np.arange(10), atol=1e-6)
-    np.testing.assert_array_equal(flight.scans[9].points, POINTS + 10)
-
-
-def test_poses_out_of_order_are_not_given_to_clouds_by_their_number(folder: Path) -> None:
-    rows = (folder / "trajectory.tum").read_text().splitlines()
-    (folder / "trajectory.tum").write_text("\n".join([*rows[3:], *rows[:3]]))
-    with pytest.raises(InputError, match=r"10 poses in trajectory.tum, 1 of them out of order; expected"):
-        read_flight(folder)
+def test_stamps_are_in_the_names_or_stated(name, stated, trajectory, tmp_path: Path) -> None:
+    (tmp_path / "stamps.txt").write_text("\n".join(f"{stamp:.6f}" for stamp in POSES.stamp_s))
+    if "stamps.txt" not in stated.values():
+        (tmp_path / "stamps.txt").unlink()
+    found = opened(make(tmp_path, name, trajectory), **stated)
+    assert_in_order(found)
+    np.testing.assert_allclose(found.prior.stamp_s, trajectory.stamp_s)
+    np.testing.assert_array_equal(found.T_drone_sensor, np.eye(4))
+    assert {"scans", "poses", "mount"} <= found.facts.keys()
 
 
 @pytest.mark.parametrize(
     "name",
     [
-        "{0:03d}", "frame_{0:d}_2023", "{0:04d}0", "scan_v1.2_{0:03d}", "{0:04d}_r{1:.1f}m",
-        "20231114T2213{0:02d}.{1:03.0f}",
+        lambda k: f"{k}",
+        lambda k: f"frame_{k:04d}",
+        lambda k: f"{ns(k) // 10**9}_{ns(k) % 10**9:09d}",
+        lambda k: f"{ns(k) // 10**6}",
+        lambda k: f"v1.2_{k}",
     ],
-)  # fmt: skip
-def test_numbers_that_count_or_measure_are_no_stamps(folder: Path, name: str) -> None:
-    renamed(folder, lambda k: name.format(k, 0.5 * k))
-    flight = read_flight(folder)
-    np.testing.assert_array_equal(flight.prior.stamp_s, poses(10).stamp_s)
-    assert flight.facts["scans"] == "10 files, in the order of their names"
-    if "{1" not in name:  # decimals are stamps where they order nothing
-        write_tum(folder / "trajectory.tum", poses(100, step_s=0.04))
-        with pytest.raises(InputError, match="10 clouds, no stamps in their names, and 100 poses"):
-            read_flight(folder)
+)
+def test_numbers_without_a_unit_are_an_order_of_one_pose_each(name, tmp_path: Path) -> None:
+    assert_in_order(opened(make(tmp_path, name)))
+    assert_in_order(opened(tmp_path, stamps="in-order"), np.arange(COUNT))
+    write_tum(tmp_path / "poses.tum", MORE)
+    for stated in ({}, {"stamps": "in-order"}):
+        with pytest.raises(InputError, match="--stamps"):
+            opened(tmp_path, **stated)
 
 
-def test_a_cloud_that_is_set_aside_is_named_where_the_count_is_wrong(folder: Path) -> None:
-    (folder / "scan1.npy").rename(folder / "scan.npy")
-    with pytest.raises(InputError, match=r"9 clouds, .* 10 poses .*unlike scan2.npy \(scan.npy beside them\)"):
-        read_flight(folder)
+def test_stated_stamps_hold_for_whole_numbers_of_both_files(tmp_path: Path) -> None:
+    make(tmp_path, lambda k: f"{1_200_000_000 + k * 100_000}")
+    since_boot = poses(COUNT, 0.1, 1200.0)
+    numbers = np.column_stack([1_200_000_000 + 100_000 * np.arange(COUNT), np.loadtxt(tmp_path / "poses.tum")[:, 1:]])
+    np.savetxt(tmp_path / "poses.tum", numbers, fmt="%d" + " %.17g" * 7)
+    found = opened(tmp_path, stamps="us")
+    assert_in_order(found, since_boot.stamp_s)
+    np.testing.assert_allclose(found.prior.stamp_s, since_boot.stamp_s)
 
 
-def test_other_files_beside_the_scans_are_named(folder: Path) -> None:
-    np.save(folder / "map_2.npy", POINTS)
-    (folder / "imu.csv").write_text("#timestamp [ns],w_x,w_y,w_z\n1,2,3,4\n")
-    for name in (".DS_Store", "._scan1.npy", "README.txt", "calibration.txt"):
-        (folder / name).write_text("1 0 0 0\n")
-    flight = read_flight(folder)
-    assert len(flight) == 10
-    assert flight.skipped == {"cloud beside the scans (imu.csv, map_2.npy)": 2}
-    for k in range(1, 11):
-        np.save(folder / f"rear{k}.npy", POINTS)
-    with pytest.raises(InputError, match=r"10 clouds such as rear1.npy, and 10 such as scan1.npy; expected names"):
-        read_flight(folder)
+def test_options_beside_the_data_hold_and_defaults_change_nothing(tmp_path: Path) -> None:
+    plain = opened(make(tmp_path, str))
+    stated = opened(tmp_path, unit="m", quaternion="xyzw", poses="poses.tum", scans=".")
+    np.testing.assert_array_equal(stated.stamp_s, plain.stamp_s)
+    np.testing.assert_array_equal(stated.prior.T_world_drone, plain.prior.T_world_drone)
+    (tmp_path / "recording.toml").write_text('unit = "cm"\n')
+    assert_in_order(opened(tmp_path), scale=0.01)
+    assert_in_order(opened(tmp_path, unit="mm"), scale=0.001)
 
 
-def test_a_broken_file_is_a_scan_with_a_fault(folder: Path) -> None:
-    (folder / "scan3.npy").write_bytes(b"broken")
-    faults = [scan.fault for scan in read_flight(folder).scans]
-    assert [k for k, fault in enumerate(faults) if fault] == [2]
-    assert "scan3.npy: not a NPY file of points" in faults[2]
+@pytest.mark.parametrize("shift_s", [-1e6, 0.5, 3600.0])
+def test_a_shift_of_the_clock_shifts_both(shift_s: float, tmp_path: Path) -> None:
+    later = Trajectory(POSES.stamp_s + shift_s, POSES.T_world_drone)
+    found = opened(make(tmp_path, lambda k: f"{BEGIN_S + k / 10 + shift_s:.3f}", later))
+    assert_in_order(found, POSES.stamp_s + shift_s)
+    np.testing.assert_allclose(found.prior.stamp_s - shift_s, POSES.stamp_s, atol=1e-6)
 
 
-def test_folders_without_one_trajectory_or_clouds_are_refused(folder: Path) -> None:
-    write_tum(folder / "other.tum", poses(3))
-    with pytest.raises(InputError, match=r"other.tum, trajectory.tum; expected one TUM file"):
-        read_flight(folder)
-    with pytest.raises(InputError, match=r"10 clouds, no stamps in their names, and 3 poses in other.tum"):
-        read_flight(folder, poses="other.tum")
-    assert len(read_flight(folder, poses="trajectory.tum")) == 10
-    (folder / "sub").mkdir()
-    with pytest.raises(InputError, match=r"sub: no clouds in it"):
-        read_flight(folder, scans="sub")
+def test_files_beside_the_scans_are_none_of_them(tmp_path: Path) -> None:
+    make(tmp_path, lambda k: f"{k:03d}")
+    for name in ("map.npy", "floor.ply"):
+        np.save(tmp_path / name, cloud(99))
+    np.savetxt(tmp_path / ".001.npy", cloud(0))
+    for name in ("groundtruth.tum", "groundtruth.txt", "times.txt", "calib.txt"):
+        (tmp_path / name).write_text("1 2 3\n")
+    found = opened(tmp_path)
+    assert_in_order(found)
+    assert "map.npy" in found.facts["scans"]
 
 
-def save_named(folder: Path, *names: str, count: int | None = None) -> None:
-    """Clouds, each shifted by its number, and as many poses, or ``count``."""
-    for k, name in enumerate(names):
-        np.save(folder / f"{name}.npy", POINTS + k)
-    write_tum(folder / "trajectory.tum", poses(count or len(names)))
+def test_several_trajectories_are_listed_until_one_is_named(tmp_path: Path) -> None:
+    make(tmp_path, str)
+    write_tum(tmp_path / "other.txt", MORE)
+    with pytest.raises(InputError, match=r"other\.txt, poses\.tum.*--poses"):
+        opened(tmp_path)
+    assert_in_order(opened(tmp_path, poses="poses.tum"))
+    (tmp_path / "other.txt").unlink()
+    (tmp_path / "poses.tum").unlink()
+    with pytest.raises(InputError, match=r"no trajectory.*--poses"):
+        opened(tmp_path)
+    with pytest.raises(InputError, match="missing"):
+        opened(tmp_path, poses="missing.tum")
 
 
-def test_names_that_differ_in_words_have_no_order(tmp_path: Path) -> None:
-    save_named(tmp_path, "east2", "north1", "south0", "west5")
-    with pytest.raises(InputError, match=r"clouds such as east2.npy and north1.npy have no order; expected names"):
-        read_flight(tmp_path)
-    for old, new in (("east2", "east0"), ("south0", "south2")):
-        (tmp_path / f"{old}.npy").rename(tmp_path / f"{new}.npy")
-    assert len(read_flight(tmp_path)) == 4
+def test_text_files_are_scans_if_there_are_no_others(tmp_path: Path) -> None:
+    for k in range(COUNT):
+        np.savetxt(tmp_path / f"{k}.txt", np.column_stack([cloud(k), np.ones(4)]))
+    write_tum(tmp_path / "poses.tum", POSES)
+    with pytest.raises(InputError, match="--columns"):
+        next(opened(tmp_path).walk(np.arange(1)))()
+    assert_in_order(opened(tmp_path, columns=("x", "y", "z", "_")))
 
 
-def test_what_a_folder_holds_instead_is_named(folder: Path) -> None:
-    (folder / "inner").mkdir()
-    for file in folder.glob("*.npy"):
-        file.rename(folder / "inner" / file.name)
-    with pytest.raises(InputError, match=r"no clouds in it, but .*\(--scans inner\)"):
-        read_flight(folder)
-    (folder / "a.e57").write_bytes(b"ASTM-E57\1")
-    shutil.rmtree(folder / "inner")
-    with pytest.raises(InputError, match=r"no clouds in it, but .*a.e57 is E57; expected PLY or LAS"):
-        read_flight(folder)
-    (folder / "trajectory.tum").unlink()
-    np.save(folder / "map1.npy", POINTS)
-    np.save(folder / "map2.npy", POINTS)
-    (folder / "a.db3").write_bytes(b"SQLite format 3\0")
-    with pytest.raises(InputError, match=r"clouds without a trajectory, and a.db3; expected one, or the bag itself"):
-        read_flight(folder)
+def test_columns_of_the_trajectory_are_not_those_of_the_clouds(tmp_path: Path) -> None:
+    make(tmp_path, str)
+    rows = np.loadtxt(tmp_path / "poses.tum")[:, [1, 2, 3, 7, 4, 5, 6]]
+    (tmp_path / "poses.tum").unlink()
+    np.savetxt(tmp_path / "pose.txt", rows)
+    with pytest.raises(InputError, match="--columns"):
+        opened(tmp_path)
+    found = opened(tmp_path, columns=("x", "y", "z", "qw", "qx", "qy", "qz"), stamps="in-order")
+    assert_in_order(found, np.arange(COUNT))
+    np.testing.assert_allclose(found.prior.T_world_drone, POSES.T_world_drone, atol=1e-9)
 
 
-def test_numbers_before_words_are_an_order(tmp_path: Path) -> None:
-    save_named(tmp_path, "9_a", "10_b", "11_c")
-    assert [scan.points[0, 0] - POINTS[0, 0] for scan in read_flight(tmp_path).scans] == [0, 1, 2]
+def test_a_folder_of_kitti_keeps_its_poses_unless_calib_is_stated(tmp_path: Path) -> None:
+    make(tmp_path, lambda k: f"{k:06d}")
+    (tmp_path / "poses.tum").unlink()
+    np.savetxt(tmp_path / "poses.txt", POSES.T_world_drone[:, :3].reshape(-1, 12))
+    np.savetxt(tmp_path / "times.txt", np.arange(COUNT) / 10)
+    (tmp_path / "calib.txt").write_text("P0: 1\nTr: 0 -1 0 0 0 0 -1 0 1 0 0 0\n")
+    plain = opened(tmp_path)
+    assert_in_order(plain, np.arange(COUNT) / 10)
+    np.testing.assert_allclose(plain.prior.T_world_drone, POSES.T_world_drone, atol=1e-9)
+    Tr = np.array([[0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1.0]])
+    turned = opened(tmp_path, calib="calib.txt").prior.T_world_drone
+    np.testing.assert_allclose(turned, Tr.T @ POSES.T_world_drone @ Tr, atol=1e-9)
 
 
-def test_other_tables_of_eight_numbers_are_no_trajectory(folder: Path) -> None:
-    (folder / "calib.txt").write_text("Camera calibration\n" + "".join(f"{k} 1 2 3 0 0 0 1\n" for k in range(3)))
-    assert len(read_flight(folder)) == 10
+@pytest.mark.parametrize(
+    ("names", "stated", "says"),
+    [
+        (["left_1", "right_1"], {}, "--scans"),
+        (["a", "b"], {}, "--scans"),
+        (["1_2", "2_3"], {"stamps": "ms"}, "--stamps FILE"),
+        ([], {}, "expected files .*npy"),
+        (["1", "2"], {"scans": "velodyne"}, "--scans"),
+        (["1", "2"], {"stamps": "stamps.txt"}, "stamps.txt"),
+    ],
+)
+def test_what_has_no_order_is_refused(names: list[str], stated: dict, says: str, tmp_path: Path) -> None:
+    for name in names:
+        np.save(tmp_path / f"{name}.npy", cloud(0))
+    write_tum(tmp_path / "poses.tum", POSES)
+    with pytest.raises(InputError, match=says):
+        opened(tmp_path, **stated)
 
 
-@pytest.mark.parametrize("options", [{"clock": "bag"}, {"imu": "/imu"}])
-def test_what_only_a_bag_has_is_refused(folder: Path, options: dict) -> None:
-    with pytest.raises(InputError, match=r"(clock 'bag'|IMU /imu); expected a bag"):
-        read_flight(folder, **options)
-
-
-def test_a_map_whose_number_is_between_those_of_scans_is_no_scan(tmp_path: Path) -> None:
-    save_named(tmp_path, "1", "3", "5", "7", "6_map", count=4)
-    flight = read_flight(tmp_path)
-    assert len(flight) == 4
-    assert "6_map.npy" in str(flight.skipped)
-
-
-def test_scans_of_two_sensors_in_a_folder_are_refused(tmp_path: Path) -> None:
-    save_named(tmp_path, "0_front", "1_rear", "2_front", "3_rear", "4_front", "5_rear")
-    with pytest.raises(InputError, match="one kind"):
-        read_flight(tmp_path)
-
-
-def test_scans_of_another_ending_are_named(folder: Path) -> None:
-    for k in (1, 2, 3, 4):
-        (folder / f"scan{k}.npy").rename(folder / f"scan{k}.npy.gz")
-    write_tum(folder / "trajectory.tum", poses(6))
-    assert read_flight(folder).skipped == {"cloud beside the scans (scan1.npy.gz, scan2.npy.gz, scan3.npy.gz, …)": 4}
+def test_clouds_in_a_folder_below_are_named(tmp_path: Path) -> None:
+    (tmp_path / "velodyne").mkdir()
+    make(tmp_path / "velodyne", str)
+    (tmp_path / "velodyne" / "poses.tum").rename(tmp_path / "poses.tum")
+    with pytest.raises(InputError, match="--scans velodyne"):
+        opened(tmp_path)
+    assert_in_order(open_folder(tmp_path, RecordingOptions(scans="velodyne")))

@@ -49,7 +49,7 @@ def test_an_unknown_radius_is_null_and_ties_to_nothing_are_refused(tmp_path: Pat
     assert [bar["radius_m"] for bar in json.loads((tmp_path / "a.json").read_text())["bars"]] == [None, 0.01]
     parts = {"width_m": np.ones(2), "sightings": np.ones(2, int), "sigma_m": np.ones(2), "joint": np.zeros((1, 3))}
     for tie in ([[1, 0]], [[0, 2]], [[-1, 0]]):
-        with pytest.raises(InputError, match=r"Structure.tie: expected numbers of 1 joints and 2 bars"):
+        with pytest.raises(InputError, match=r"Structure\.tie"):
             Structure(bars, tie=np.array(tie), **parts)
     with pytest.raises(InputError, match=r"Structure.tube"):
         Structure(bars, tie=np.zeros((0, 2), int), tube=np.ones(3, bool), **parts)

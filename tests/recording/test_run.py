@@ -18,7 +18,7 @@ from steelnb.io.clouds import read_points
 from steelnb.recording.evaluate import TIMES, at_scans, truth_of
 from steelnb.recording.run import FILES, run_recording
 from steelnb.recording.settings import recording_settings
-from steelnb.settings import ExperimentSettings
+from steelnb.settings import ExperimentSettings, RecordingOptions
 from tests.io.samples import Bagged, poses
 
 SCANS = 40
@@ -194,13 +194,13 @@ def test_a_trajectory_in_another_frame_is_moved_onto_the_first_pose():
 
 
 def test_a_truth_of_another_time_is_refused_if_it_was_named(tmp_path):
-    path = Bagged(tmp_path / "a.mcap").clouds().odometry().write()
+    path = Bagged(tmp_path / "a.mcap").clouds().odometry().tf("base_link", "tof", np.eye(4)).write()
     flight, prior = read_flight(path), poses(5)
     write_tum(tmp_path / "late.tum", Trajectory(prior.stamp_s + 1000, prior.T_world_drone))
     with pytest.raises(InputError, match=r"late.tum: its poses at 100.* match fewer than two scans, at "):
-        truth_of(flight, path, str(tmp_path / "late.tum"))
-    assert truth_of(flight, path, None) is None
+        truth_of(flight, path, RecordingOptions(truth=str(tmp_path / "late.tum")))
+    assert truth_of(flight, path, RecordingOptions()) is None
     (tmp_path / "late.tum").rename(tmp_path / "a.truth.tum")
-    assert len(truth_of(flight, path, None)) == 5
+    assert len(truth_of(flight, path, RecordingOptions())) == 5
     write_tum(tmp_path / "right.tum", prior)
-    assert len(truth_of(flight, path, str(tmp_path / "right.tum"))) == 5
+    assert len(truth_of(flight, path, RecordingOptions(truth=str(tmp_path / "right.tum")))) == 5

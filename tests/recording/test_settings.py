@@ -110,11 +110,6 @@ def test_without_a_return_and_in_a_scene_no_larger_than_the_presets_the_preset_s
     assert recording_settings(scene=Scene.of(made(points, height_m=100.0))) == recording_settings()
 
 
-def test_scans_in_millimetres_are_told():
-    with pytest.raises(InputError, match=r"half of the returns are farther than 2e\+04: it looks like millimetres"):
-        Scene.of(made(shell(40_000.0)))
-
-
 @pytest.mark.parametrize(
     ("name", "value"),
     [("tof.rate_hz", 3.0), ("flight.gust_sigma_m_s", 0.1), ("seed", 3), ("tower", "heavy"), ("imu", None)],

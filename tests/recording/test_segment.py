@@ -15,7 +15,7 @@ from steelnb.hough.near_segments import within
 from steelnb.hough.whole_structure import segment_structure
 from steelnb.metrics import score_segments
 from steelnb.points import voxel_grid
-from steelnb.recording.segment_cloud import SegmentReport, segment_file
+from steelnb.recording.segment import SegmentReport, segment_file
 from tests.lattice import lattice, rods, scanned, sheet, thinned
 
 FILES = {"segments.csv", "segments.png"}
@@ -83,7 +83,7 @@ def test_the_bars_of_a_near_scan_are_found_and_written(report: SegmentReport, fo
 
 @pytest.fixture
 def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("steelnb.recording.segment_cloud.figure_bars", MagicMock())
+    monkeypatch.setattr("steelnb.recording.segment.figure_bars", MagicMock())
 
 
 @pytest.mark.usefixtures("undrawn")
@@ -142,7 +142,7 @@ def test_every_name_of_a_file_is_drawn_and_printed(tmp_path: Path, capfd: pytest
 def test_any_cloud_gets_an_answer(tmp_path: Path, shape: str) -> None:
     rng = np.random.default_rng(0)
     clouds = {
-        "two": np.array([[0.0, 0, 0], [1, 2, 3]]),
+        "two": np.array([[0.0, 0, 1], [1, 2, 3]]),
         "lines": np.concatenate([LINE, LINE[:, [2, 1, 0]] + [0.0, 20.0, 0.0]]),
         "plane": rng.uniform(0, [9, 9, 0], (300, 3)),
         "scatter": rng.uniform(0, 9, (300, 3)),

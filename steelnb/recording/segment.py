@@ -1,7 +1,7 @@
 """`steelnb segment CLOUD`: point cloud of a structure → its bars, as a table, a picture and a summary."""
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -15,12 +15,12 @@ from steelnb.fusion.cloud_bars import CloudBars, bars_of_cloud, default_tube
 from steelnb.hough.lines import spacing
 from steelnb.hough.whole_structure import MIN_VOTES
 from steelnb.io.clouds import Cloud, read_cloud
-from steelnb.io.coordinates import STRAY_M
 from steelnb.io.structures import write_segments
 from steelnb.plots.draw import figure_bars
 from steelnb.plots.scene3d import figure_cloud
 from steelnb.points import voxel_grid
 from steelnb.points.surfaces import Surface
+from steelnb.settings import read_options
 
 SURFACES_SHOWN = 5
 VOXELS_FEW = 10
@@ -66,6 +66,8 @@ def segment_file(
     min_votes: int | None = None,
     scene: bool = False,
     on_stage: Callable[[str], None] | None = None,
+    unit: str | None = None,
+    columns: Sequence[str] | None = None,
 ) -> SegmentReport:
     """Find the bars in the cloud of a file and write ``segments.csv`` and ``segments.png`` to the folder ``output``;
     with ``scene``, also the interactive ``segments.html``.
@@ -73,7 +75,8 @@ def segment_file(
     Ground, walls and other surfaces are recognised and left out (`steelnb.fusion.cloud_bars`). ``dx_m`` is the radius
     of the tube that holds a bar's points (default: `bars_of_cloud`), ``voxel_m`` the edge of the voxel filter (default:
     two thirds of dx). ``min_votes`` is the minimum number of voxels of a bar, and the minimum by which those in its
-    tube exceed those around it. ``on_stage`` is told what goes on.
+    tube exceed those around it. ``on_stage`` is told what goes on. ``unit`` and ``columns``: as for `read_cloud`, by
+    default those of a ``recording.toml`` beside the file.
 
     Raises the errors of `read_cloud`, `InputError` and `OutputError`; nothing is written then.
     """
@@ -82,7 +85,8 @@ def segment_file(
     if min_votes < 2:
         raise InputError(f"min_votes = {min_votes}: expected at least 2")
     with new_folder(output) as folder:
-        cloud = read_cloud(path)
+        stated = read_options(path.parent, unit=unit, columns=columns)
+        cloud = read_cloud(path, unit=stated.unit, columns=stated.columns)
         _check_length("voxel_m", voxel_m, cloud)
         _check_length("dx_m", dx_m, cloud)
         if voxel_m is not None and voxel_m < (least_m := (dx_m or default_tube(cloud.points)) / VOXELS_MAX):
@@ -93,8 +97,8 @@ def segment_file(
         bars, off, dx = found.bars, found.surface < 0, found.tube_m
         explained = float(found.within(1.0).mean()) if off.any() else 0.0
         segments = bars.moved(cloud.origin)
-        columns = {"width_m": found.width_m.round(3), "freedom": found.freedom.round(2)}
-        write_segments(segments, folder / "segments.csv", more=columns)
+        more = {"width_m": found.width_m.round(3), "freedom": found.freedom.round(2)}
+        write_segments(segments, folder / "segments.csv", more=more)
         title = f"{display_name(path)}: {len(bars)} bars, {bars.length.sum():.1f} m"
         figure_bars(cloud.points, bars, title, ~off, found.freedom).savefig(folder / "segments.png", dpi=150)
         if scene:
@@ -108,8 +112,10 @@ def segment_file(
     if len(surfaces) > SURFACES_SHOWN:
         surfaces[SURFACES_SHOWN:] = [f"surface   and {len(surfaces) - SURFACES_SHOWN} more"]
     summary = (
-        f"read      {display_name(path)}: {len(cloud)} points ({cloud.duplicates} duplicates and "
-        f"{cloud.invalid} invalid ones dropped), {apart_m:.3g} m apart",
+        f"read      {display_name(path)}: {cloud.facts['read']}, {len(cloud)} points ({cloud.duplicates} duplicates "
+        f"and {cloud.invalid} invalid ones dropped)",
+        f"cloud     {' × '.join(f'{size:.3g}' for size in cloud.extent_m)} m, points {apart_m:.3g} m apart; unit "
+        f"{cloud.facts['unit']}" + (f"; viewpoint {cloud.facts['viewpoint']}" if "viewpoint" in cloud.facts else ""),
         f"settings  voxel {voxel:.3g} m, dx {dx:.3g} m{slim}: members closer than {2 * least:.2g} m to each other are "
         f"one, and those shorter than {(2 + LENGTH_MIN_M / TUBE_M) * least:.2g} m are not found",
         *surfaces,
@@ -134,9 +140,7 @@ def _name(surface: Surface) -> str:
 
 
 def _warnings(found: CloudBars, explained: float, cloud: Cloud, min_votes: int) -> tuple[str, ...]:
-    far = f"points more than {STRAY_M / 1e3:g} km from the others, or with a coordinate that stands for none, such as"
-    far += f" -9999, which are left out: {cloud.strays}"
-    lines = [far] if cloud.strays else []
+    lines = list[str]()
     if not len(found.bars):
         left = len(voxel_grid(cloud.points, found.voxel_m))
         why = "the points on no surface do not lie along lines"
