@@ -86,7 +86,10 @@ def _rows(path: Path, table: Table, options: RecordingOptions) -> Array:
             f"columns {shown(', '.join(names))}: {counted}; expected --columns {order} (_ for one to skip)"
         )
     values = table.values([found[role][0] for role in TUM[1:]])
-    if lengths := {units[found[axis][0]] for axis in "xyz"} - {"", "m"}:
+    lengths = {units[found[axis][0]] or "m" for axis in "xyz"}
+    if len(lengths) > 1:
+        raise ValueError(f"x, y and z in {' and '.join(sorted(lengths))}; expected one unit")
+    if lengths != {"m"}:
         values[:, :3] *= metres_of(lengths.pop())
     if is_beside:
         return np.column_stack([_stamps_beside(path, options, len(values)), values])
@@ -188,15 +191,16 @@ def trajectory_of(path: Path | str, rows: Array, skipped: Counter[str]) -> Traje
         valid = np.isfinite(rows).all(axis=1) & (np.abs(rows[:, 1:4]).max(axis=1, initial=0.0) <= COORDINATE_MAX_M)
         is_unit = np.abs(length - 1) <= QUATERNION_TOLERANCE
     if is_unit[valid].sum() * 2 < valid.sum():
-        typical, expected = np.median(length[valid]), "qx, qy, qz and qw of length 1 (--columns names columns)"
+        typical, expected = np.median(length[valid]), "qx, qy, qz and qw of length 1"
         raise InputError(f"{path}: quaternions of length {typical:.3g}; expected {expected}")
-    skipped[NOT_UNIT] += len(rows) - int((valid & is_unit).sum())
+    count = len(rows)
+    skipped[NOT_UNIT] += count - int((valid & is_unit).sum())
     rows = rows[valid & is_unit]
     rises = np.diff(np.maximum.accumulate(rows[:, 0]), prepend=-np.inf) > 0
     skipped[NOT_RISING] += len(rows) - int(rises.sum())
     rows = rows[rises]
     if not len(rows):
-        raise InputError(f"{path}: no valid pose; expected finite numbers and unit quaternions")
+        raise InputError(f"{path}: {count} poses, none valid; expected finite numbers and unit quaternions")
     largest = np.abs(rows[:, 4:]).max(axis=1, keepdims=True)  # results have the rounding of this division
     T = np.tile(np.eye(4), (len(rows), 1, 1))
     T[:, :3, :3], T[:, :3, 3] = Rotation.from_quat(rows[:, 4:] / largest).as_matrix(), rows[:, 1:4]

@@ -165,7 +165,7 @@ def test_poses_that_are_none_or_do_not_rise_are_dropped_and_counted(tmp_path: Pa
     [
         ("1 2 3 4 0 0 0\n", "--columns"),
         ("1 2 3 4 5 6 7 8\n", "length"),
-        ("nan 2 3 4 0 0 0 1\n", "no valid pose"),
+        ("nan 2 3 4 0 0 0 1\n", "none valid"),
         ("1 2 3 4 0 0 0 1\n2 2 3\n", "line 2"),
         ("time,x,y,z,roll,pitch,yaw\n1,2,3,4,0,0,0\n", "--columns"),
         ("t,stamp,x,y,z,qx,qy,qz,qw\n1,1,2,3,4,0,0,0,1\n", "2 of them"),
