@@ -79,7 +79,7 @@ BAD = (
     (["segment", "-o", ""], "an empty argument; expected a name or a value"),
     (["run", " "], "an empty argument; expected a name or a value"),
     (["study", "--output="], "an empty argument; expected a name or a value"),
-    (["segment", "half.ply"], "half.ply: not a PLY file of points: "),
+    (["segment", "half.ply"], "half.ply: not a file of points: "),
     (["run", "a.mcap", "--odometry", "orb"], "a.mcap: no images for method 'orb'"),
     (["run", "a.mcap", "--set", "preproces.crop_m=1"], "preproces.crop_m = 1: unknown setting, did you mean"),
     (["run", "a.mcap", "--set", "method=gicp"], "method = 'gicp': this is 'best'"),

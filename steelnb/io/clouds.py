@@ -25,11 +25,10 @@ from steelnb.settings.recording import METRES, metres_of
 
 IDENTITY = ["0", "0", "0", "1", "0", "0", "0"]
 """VIEWPOINT of a PCD file without one: position, quaternion wxyz."""
-LZF_RATIO_MAX = 88
-"""A reference of three bytes copies at most 264 of them."""
 FEET, DEGREES = (9002, 9003), 2
 """GeoTIFF's codes of the foot and the US survey foot, and of a system in longitude and latitude."""
-UNIT = re.compile(r"(.*?)(?: *[\[(](.*)[\])]|_(s|ms|us|ns|m|mm|cm))?")
+NAMED = "expected x, y and z, named by --columns t,x,y,z (in order, _ for one to skip)"
+UNIT = re.compile(r"(.*?)(?: *[\[(](\D*)[\])]|_(s|ms|us|ns|m|mm|cm))?")
 """The name of a column and its unit, in brackets or after an underscore."""
 
 
@@ -125,8 +124,6 @@ def _read_ply(path: Path, _: RecordingOptions) -> Read:
     faces = re.search(r"^element face +(\d+)", header, re.MULTILINE)
     if faces and int(faces[1]):
         raise ValueError(f"a mesh: {faces[1]} faces; expected a cloud, as of points sampled on it")
-    for axis in "XYZ":  # trimesh knows small letters alone
-        file = file.replace(f" {axis}\n".encode(), f" {axis.lower()}\n".encode(), 1) if f" {axis}\n" in header else file
     points = load_ply(io.BytesIO(file)).get("vertices")
     count = re.search(r"^element vertex +(\d+)", header, re.MULTILINE)
     if points is None or count is None or len(points) != int(count[1]):
@@ -166,7 +163,7 @@ def _read_pcd(path: Path, options: RecordingOptions) -> Read:
     else:
         sizes = struct.unpack_from("<II", data.ljust(8, b"\0")) if encoding == "binary_compressed" else (0, len(data))
         held = sizes[1] // max(stride, 1)
-        if sizes[0] > len(data) - 8 or sizes[1] > LZF_RATIO_MAX * len(data):
+        if sizes[0] > len(data) - 8:
             raise ValueError(f"truncated: {len(data) - 8} bytes after its header; expected {sizes[0]}")
     if held < count or (encoding != "binary" and held > count):
         raise ValueError(f"{held} points after its header, which says {count}")
@@ -229,10 +226,10 @@ def _read_npy(path: Path, options: RecordingOptions) -> Read:
         return Read(np.stack([stored[field[axis]].astype(np.float64) for axis in "xyz"], axis=-1), "NPY")
     if stored.dtype.kind not in "fiu" or stored.dtype.itemsize == 1:
         raise ValueError(f"an array of {stored.dtype}; expected coordinates")
-    if options.columns and stored.ndim == 2 and stored.shape[1] == len(options.columns):
-        return Read(stored[:, axes_of(options.columns)], "NPY, its columns as --columns says")
+    if stored.ndim == 2 and stored.shape[1] == len(options.columns):
+        return Read(stored[:, _axes_of(options.columns)], "NPY, x, y and z named by --columns")
     if stored.ndim not in (2, 3) or stored.shape[-1] != 3:
-        hint = "; --columns x,y,z,_ names its columns" if stored.ndim == 2 and stored.shape[1] > 3 else ""
+        hint = "; --columns x,y,z,_ names its columns" if stored.ndim == 2 and len(stored) > stored.shape[1] > 3 else ""
         raise ValueError(f"an array of shape {stored.shape}; expected (N, 3) or (H, W, 3){hint}")
     return Read(stored, "NPY")
 
@@ -242,10 +239,9 @@ def _read_text(path: Path, options: RecordingOptions) -> Read:
     names = [name.lower() for name in table.names]
     if not names and table.width == 3:
         return Read(table.values([0, 1, 2]), "text, three columns")
-    if [names.count(axis) for axis in "xyz"] != [1, 1, 1]:
-        said = f"names {shown(', '.join(names))}" if names else f"{table.width} columns without names"
-        raise ValueError(f"{said}; expected x, y and z, named by --columns t,x,y,z (in order, _ for one to skip)")
-    axes = [names.index(axis) for axis in "xyz"]
+    if not names:
+        raise ValueError(f"{table.width} columns without names; {NAMED}")
+    axes = _axes_of(names)
     units = {table.units[k] for k in axes} - {""}
     if len(units) > 1:
         raise ValueError(f"x, y and z in {' and '.join(sorted(units))}; expected one unit")
@@ -254,10 +250,10 @@ def _read_text(path: Path, options: RecordingOptions) -> Read:
     return Read(table.values(axes), f"text, x, y and z {source}", unit_m)
 
 
-def axes_of(columns: Sequence[str]) -> list[int]:
+def _axes_of(columns: Sequence[str]) -> list[int]:
     """Numbers of the columns x, y and z. Raises ValueError."""
     if [columns.count(axis) for axis in "xyz"] != [1, 1, 1]:
-        raise ValueError(f"--columns {','.join(columns)}; expected x, y and z once each")
+        raise ValueError(f"columns {shown(', '.join(columns))}; {NAMED}")
     return [columns.index(axis) for axis in "xyz"]
 
 

@@ -172,3 +172,19 @@ def test_points_on_wide_bars_are_explained_where_the_tube_is_narrow(tmp_path: Pa
     assert report.dx_m < 0.15
     assert report.explained > 0.9
     assert not report.warnings
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_units_and_columns_are_stated_by_options_or_beside_the_cloud(tmp_path: Path) -> None:
+    timed = np.column_stack([np.arange(len(LINE)), 1000 * LINE[:, [2, 1, 0]] + 1000.0])
+    np.savetxt(cloud := tmp_path / "line.xyz", timed, fmt="%.3f")
+    with pytest.raises(InputError, match="--columns"):
+        segment_file(cloud, tmp_path / "out")
+    assert cli.main(["segment", str(cloud), "--columns", "t,z,y,x", "--unit", "mm", "-o", str(tmp_path / "a")]) == 0
+    (tmp_path / "recording.toml").write_text('unit = "mm"\ncolumns = ["t", "x", "y", "z"]\n')
+    beside = segment_file(cloud, tmp_path / "b")
+    np.testing.assert_allclose(pd.read_csv(tmp_path / "a" / "segments.csv")[["start_y_m", "end_y_m"]], 1, atol=0.01)
+    np.testing.assert_allclose(np.abs(beside.segments.end - beside.segments.start), [[0, 0, 30]], atol=0.2)
+    stated = segment_file(cloud, tmp_path / "c", columns=("t", "z", "y", "x"), unit="cm")
+    np.testing.assert_allclose(np.abs(stated.segments.end - stated.segments.start), [[300, 0, 0]], atol=2)
+    assert any("300 × 0 × 0 m" in line and "--unit" in line for line in stated.summary)
