@@ -72,8 +72,6 @@ REFUSED = {
     ],
     "T_drone_sensor": [
         lambda: points.preprocess_scan(SCANS[0], np.eye(4), NAN * np.eye(4), CROP),
-        lambda: io.read_flight("flight.bag", T_drone_sensor=np.eye(3)),
-        lambda: io.read_flight("flight.bag", T_drone_sensor=2 * np.eye(4)),
     ],
     "axes": [lambda axes=axes: metrics.score_segments(Segments.empty(), axes) for axes in (CLOUD, 0 * AXES)],
     "observed": [lambda: metrics.score_segments(Segments.empty(), AXES, np.ones(3, bool))],

@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from steelnb.core.arguments import checks_arguments
 from steelnb.core.errors import InputError, OutputError
 from steelnb.core.files import OVERWRITE, check_writable, new_folder
 from steelnb.core.types import Array, Flight, Trajectory
@@ -37,7 +36,6 @@ def check_target(path: Path, overwrite: bool = False) -> None:
     check_writable(path.parent)
 
 
-@checks_arguments
 def write_flight(
     path: Path | str,
     flight: Flight,

@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from steelnb.core.arguments import checks_arguments
 from steelnb.core.checks import check_length, checked_array
 from steelnb.core.files import new_file
 from steelnb.core.types import Array, Segments
@@ -19,7 +18,6 @@ COLUMNS = (
 )  # fmt: skip
 
 
-@checks_arguments
 def write_segments(
     segments: Segments, path: Path | str, sigma_m: Array | None = None, more: Mapping[str, Array] | None = None
 ) -> None:
@@ -39,7 +37,6 @@ def write_segments(
         table.to_csv(file, index=False, float_format="%.4f", lineterminator="\n")
 
 
-@checks_arguments
 def write_structure(structure: Structure, path: Path | str, about: Mapping[str, Any] | None = None) -> None:
     """Write bars, joints and the ties between them as JSON with all digits, one per line; null if unknown.
 
