@@ -117,10 +117,9 @@ def _reader(file: Path) -> Any:
     return rosbag1.Reader(file) if file.suffix.lower() == ".bag" else rosbag2.Reader(file)
 
 
-def open_bag(path: Path, options: RecordingOptions, T_drone_sensor: Array | None = None) -> Recorded:
-    """Open a bag. ``T_drone_sensor (4, 4)``: the mount, if it is not among the options. Raises `InputError`."""
+def open_bag(path: Path, options: RecordingOptions, T_stated: Array | None) -> Recorded:
+    """Open a bag. ``T_stated``: ``T_drone_sensor (4, 4)`` if the user states it. Raises `InputError`."""
     try:
-        T_stated = options.T_drone_sensor if T_drone_sensor is None else T_drone_sensor
         return _Headers(Bag(path), options).opened(T_stated)
     except InputError as fault:
         text = str(fault)

@@ -77,12 +77,12 @@ def read_cloud(path: Path | str, *, unit: str | None = None, columns: Sequence[s
     return Cloud(shifted, origin, len(points) - len(finite), len(finite) - len(distinct), facts)
 
 
-def read_points(path: Path | str, options: RecordingOptions) -> Array:
+def read_points(path: Path | str, options: RecordingOptions | None = None) -> Array:
     """Points of one file, float64, metres: ``(N, 3)``, or ``(H, W, 3)`` of an organised cloud (PCD, NPY).
 
     Points without a return are NaN rows: not finite, all zero, or beyond `COORDINATE_MAX_M`. Raises `InputError`.
     """
-    return _read(Path(path), options)[0]
+    return _read(Path(path), options or RecordingOptions())[0]
 
 
 class Read(NamedTuple):

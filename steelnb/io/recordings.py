@@ -40,19 +40,20 @@ def read_flight(
     where, with the numbers from which a person sees that it is wrong; ``skipped`` counts what was left out. Raises
     `InputError`, also if no scan can be read.
     """
-    path = Path(path)
+    path, T_stated = Path(path), None if T_drone_sensor is None else checked_pose(T_drone_sensor, "T_drone_sensor")
     check_exists(path, "a recording")
     options = options or read_options(folder_of(path), **stated)
+    T_stated = options.T_drone_sensor if T_stated is None else T_stated
     if is_bag(path):
-        opened = open_bag(path, options, T_drone_sensor)
+        opened = open_bag(path, options, T_stated)
     elif path.is_dir():
         opened = _of_folder(path, options)
     else:
         expected = f"{', '.join(SUFFIXES)} or a folder; `steelnb segment` takes a single cloud"
         raise InputError(f"{path}: ending {path.suffix!r}; expected {expected}")
     stamp_s, walk, prior, T_mount, facts, imu, skipped = opened
-    if (T_stated := options.T_drone_sensor if T_drone_sensor is None else T_drone_sensor) is not None:
-        T_mount, facts["mount"] = checked_pose(T_stated, "T_drone_sensor"), "as stated"
+    if T_stated is not None:
+        T_mount, facts["mount"] = T_stated, "as stated"
     known = np.flatnonzero(~np.isnan(stamp_s))
     _, first = np.unique(stamp_s[known], return_index=True)
     number = known[first]  # by stamp
