@@ -55,7 +55,7 @@ def each_once(values: list[T]) -> list[T]:
 Some = Annotated[list[T], Field(min_length=1), AfterValidator(each_once)]
 Count = Annotated[int, Field(gt=0)]
 Draws = Annotated[int, Field(ge=2)]
-Seed = Annotated[int, Field(ge=0, lt=2**63)]
+StudySeed = Annotated[int, Field(ge=0, lt=2**63)]
 Share = Annotated[float, Field(gt=0, le=1)]
 MethodsOfPlots = Annotated[dict[str, Some[str]], Field(min_length=1)]
 """Method of one of the report's plots → the methods that fly on its samples."""
@@ -152,7 +152,7 @@ def cloud_case(tower: str, seed: rng.Seed, duration_s: float) -> ExperimentSetti
 
 
 def explore(
-    trajectory: TrajectoryName, noise: str, level: NotNegative, sensor: NameOrPath, method: str, seed: Seed,
+    trajectory: TrajectoryName, noise: str, level: NotNegative, sensor: NameOrPath, method: str, seed: StudySeed,
     tower: str | None, duration_s: Duration, overrides: Overrides,
 ) -> ExperimentSettings:  # fmt: skip
     """The first flight of the panel."""
@@ -232,10 +232,10 @@ def yaw_drift(
 
 
 def finding_bars(
-    seeds: Some[Seed], views: Count, slow_views: Count, methods: Some[str], slow: list[str],
+    seeds: Some[StudySeed], views: Count, slow_views: Count, methods: Some[str], slow: list[str],
     options: dict[str, dict[str, Any]], noise_m: Some[NotNegative], clutter: Some[Annotated[float, Field(ge=0, lt=1)]],
     kept: Some[Share], condition_views: Count, map_dx_m: Some[Positive],
-    map_min_votes: Some[Annotated[int, Field(ge=2)]], cloud_seeds: dict[str, Some[Seed]], cloud_s: Duration,
+    map_min_votes: Some[Annotated[int, Field(ge=2)]], cloud_seeds: dict[str, Some[StudySeed]], cloud_s: Duration,
 ) -> dict[tuple[str, int], ExperimentSettings]:  # fmt: skip
     """The flights of the clouds of whole towers, by tower and seed."""
     from steelnb.hough.alternatives import FINDERS, OPTIONS

@@ -34,12 +34,8 @@ SIGMA_MIN = 1e-7
 """Minimum noise density and minimum standard deviation of a bias, for a noise-free IMU."""
 GAP_MAX_S = 0.1
 """Maximum time between two readings. An interval with a longer gap has no factor."""
-LEAN_MAX_RAD = 0.5
-"""Maximum angle between the verticals of the readings and of the prior. A larger one means wrong axes."""
 STEP = 1e-5
 """Step of the numerical Jacobians."""
-RATE_MIN, UNIT_FACTOR = 0.5, 10.0
-"""Angular rates above the first, and above the prior's times the second, are not in rad/s."""
 
 
 class ChainEquations(NamedTuple):
@@ -209,33 +205,11 @@ def integrated(at_s, force, rate, stamp_s, bias):  # type: ignore[no-untyped-def
     return Integrated(rotation, velocity, position)
 
 
-def check_imu(imu: Imu, prior: Trajectory) -> None:
-    """Raise `InputError` if readings do not have the units, axes and clock of the drone's poses.
-
-    The mean specific force and the angular rate are compared with gravity and the rotation of the ``prior``.
-    """
+def check_overlap(imu: Imu, prior: Trajectory) -> None:
+    """Raise `InputError` if fewer than two readings are within the time of the poses."""
     inside = (imu.stamp_s >= prior.stamp_s[0]) & (imu.stamp_s <= prior.stamp_s[-1])
     if inside.sum() < 2 or len(prior) < 2:
         raise InputError(
             f"IMU: {int(inside.sum())} of {len(inside)} readings within the time of the poses; expected readings and "
             "poses with the same clock"
-        )
-    force, R = imu.specific_force[inside], prior.between(imu.stamp_s[inside])[:, :3, :3]
-    mean = (R @ force[:, :, None]).mean(axis=0)[:, 0]
-    size = float(np.linalg.norm(mean))
-    if not 0.7 < size / GRAVITY < 1.3:
-        raise InputError(f"IMU: specific force of {size:.3g} on average; expected {GRAVITY} m/s², gravity's")
-    lean = float(np.arccos(np.clip(mean[2] / size, -1, 1)))
-    if lean > LEAN_MAX_RAD:
-        raise InputError(f"IMU: its vertical is {np.degrees(lean):.0f}° off; expected the axes of the drone (see tf)")
-    gap_s, R = np.diff(prior.stamp_s), prior.T_world_drone[:, :3, :3]
-    prior_rates = Rotation.from_matrix(R[:-1].transpose(0, 2, 1) @ R[1:]).as_rotvec() / gap_s[:, None]
-    steps = imu.angular_rate * np.diff(imu.stamp_s, prepend=imu.stamp_s[0])[:, None]
-    angles = [np.interp(prior.stamp_s, imu.stamp_s, column) for column in np.cumsum(steps, axis=0).T]
-    rate, prior_rate = (
-        float(np.sqrt((each**2).sum(axis=1).mean())) for each in (np.diff(angles).T / gap_s[:, None], prior_rates)
-    )
-    if rate > RATE_MIN and rate > UNIT_FACTOR * prior_rate:
-        raise InputError(
-            f"IMU: angular rate of {rate:.3g} beside {prior_rate:.3g} rad/s of the poses, as of degrees; expected rad/s"
         )

@@ -27,7 +27,7 @@ from steelnb.core.geometry import UPRIGHT_DOF
 from steelnb.core.types import Array, Flight, IntArray, Segments, Trajectory
 from steelnb.fusion.adjustment import problem
 from steelnb.fusion.adjustment.factors import TILT_SIGMA_RAD, PointEquations, linearised, summed
-from steelnb.fusion.adjustment.imu_factors import Inertial, check_imu
+from steelnb.fusion.adjustment.imu_factors import Inertial, check_overlap
 from steelnb.fusion.adjustment.problem import BAR_DOF, Bars, Problem, pose_size
 from steelnb.fusion.adjustment.solver import Chain, improve, normal_equations
 from steelnb.fusion.bars import TUBE_M
@@ -232,8 +232,8 @@ def smooth(
     those of one in three scans, at the poses before the last round. Its segments are the bars, with axes through the
     centroids of their sections. With too few bars, the old estimate is returned, with the reason in ``unsmoothed``.
 
-    Raises `InputError` if the readings have other units, axes or another clock (`check_imu`), and if the estimate is
-    not of the flight. Poses far from zero are moved near it for the work (`Flight.origin`).
+    Raises `InputError` if no readings are within the time of the flight, and if the estimate is not of the flight.
+    Poses far from zero are moved near it for the work (`Flight.origin`).
     """
     settings = StructureSettings() if settings is None else settings
     tilt_sigma_rad = checked_number(tilt_sigma_rad, "tilt_sigma_rad", 0.0)
@@ -246,7 +246,7 @@ def smooth(
     prior, T = flight.prior.T_world_drone @ mount, estimate.corrected.T_world_drone @ mount
     before, inertial = None, None
     if imu is not None and flight.imu is not None:
-        check_imu(flight.imu, flight.prior)
+        check_overlap(flight.imu, flight.prior)
         inertial = Inertial.started(flight.imu, imu, mount, estimate.corrected)
         tilt_sigma_rad = tilt_sigma_rad or TILT_SIGMA_RAD
     for fits, stages in ROUNDS:
