@@ -14,12 +14,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from steelnb.core.errors import InputError
-from steelnb.core.files import damaged
+from steelnb.core.files import damaged, display_name
 from steelnb.core.types import Array, Imu, IntArray, Trajectory
 from steelnb.io import messages as ros
 from steelnb.io.folders import Recorded
 from steelnb.io.trajectories import read_trajectory, trajectory_of
-from steelnb.io.transforms import ScanFrames, Tree, scan_frames, turned_up
+from steelnb.io.transforms import ScanFrames, Tree, scan_frames, turned_up, up_axes
 from steelnb.settings.recording import RecordingOptions
 
 SUFFIXES = {".bag": "rosbag reindex", ".mcap": "mcap recover", ".db3": "ros2 bag reindex"}
@@ -98,7 +98,7 @@ class Bag:
             return (store.deserialize_ros1 if is_ros1 else store.deserialize_cdr)(data, connection.msgtype)
 
     def _readable(self, file: Path) -> Any:
-        return damaged(file, f"a whole recording, which `{self.repair}` may make of it")
+        return damaged(file, f"a recording that rosbags reads (if it is damaged, `{self.repair}` may help)")
 
     def choose(self, role: str, option: str, stated: str | None, candidates: list[str], others: list[str]) -> str:
         """The topic of this name among ``candidates`` and ``others``, else the only candidate. Raises `InputError`
@@ -141,9 +141,11 @@ class _Headers:
         self.camera = bag.first(self._camera_topic()) if self.scans in images else None
         stated = options.poses or ""
         self.pair = (stated.partition(">")[0], stated.partition(">")[2]) if ">" in stated else None
-        self.file = stated if stated not in poses and Path(stated).is_file() else ""
+        folder = bag.path if bag.path.is_dir() else bag.path.parent
+        found = [file for file in (Path(stated), folder / stated) if stated not in poses and os.path.isfile(file)]
+        self.file = found[0] if found else None
         self.poses = poses if self.pair else []
-        if not self.pair and not self.file and (poses or stated):
+        if not self.pair and self.file is None and (poses or stated):
             self.poses = [bag.choose("poses", "--poses", options.poses, poses, [])]
         inertial = bag.of_type(ros.IMU)
         measured = [topic for topic in inertial if ros.measures_all(bag.first(topic))]
@@ -210,7 +212,10 @@ class _Headers:
         self.frames = [sensor if lost else frame for frame, lost in zip(self.frames, np.isnan(stamp_s), strict=True)]
         prior, world, body, said = self._prior(tree, sensor)
         is_depth = self.camera is not None
-        frames = scan_frames(tree, world, body, self.frames, stamp_s, T_stated, is_depth, options.optical)
+        if options.scans_in == "world":
+            self.frames = [body] * len(self.frames)  # no frame matters: the poses bring the points back
+        T_body_drone = up_axes(world, options.world == "ned")[1]
+        frames = scan_frames(tree, world, body, self.frames, stamp_s, T_stated, is_depth, options.optical, T_body_drone)
         unplaced = ~frames.known & ~np.isnan(stamp_s)
         self.skipped["scan without a transform to the drone at its time"] += int(unplaced.sum())
         ahead_ms = 1e3 * (rows[:, 1] - rows[:, 0])
@@ -248,7 +253,8 @@ class _Headers:
         """Poses of the drone, z up, names of the world and of the drone's frame, and the source in words."""
         source, pairs = "tf", [key[1:] for key in self.rows if key[0] in self.poses]
         if self.file:
-            found, world, body, source = read_trajectory(self.file, self.options, self.skipped), "", "", self.file
+            found, world, body = read_trajectory(self.file, self.options, self.skipped), "", ""
+            source = display_name(self.file)
         elif pairs and (not self.pair or self.pair in pairs):
             world, body = self._chosen(tree, sensor, [self.pair] if self.pair else pairs)
             source = next(topic for topic in self.poses if (topic, world, body) in self.rows)
@@ -256,7 +262,7 @@ class _Headers:
         else:
             world, body = self.pair or self._chosen(tree, sensor, tree.moving_pairs(sensor))
             found = tree.poses(world, body)
-        if (not body or body == world) and sensor != world and sensor in tree.frames:
+        if not body and sensor != world and sensor in tree.frames:
             body = tree.fixed_above(sensor)
         if world and world != body and not tree.between(world, body):
             tree.add(world, body, found)

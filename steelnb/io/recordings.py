@@ -16,7 +16,7 @@ from steelnb.core.types import Array, Flight, IntArray, Scan, Trajectory
 from steelnb.io.bags import SUFFIXES, is_bag, open_bag
 from steelnb.io.folders import Recorded, Walk, open_folder
 from steelnb.io.trajectories import interpolate, named_file, read_trajectory
-from steelnb.io.transforms import T_OPTICAL_SENSOR, turned_up
+from steelnb.io.transforms import T_OPTICAL_SENSOR, T_UP_DOWN, turned_up
 from steelnb.settings.recording import RecordingOptions, read_options
 
 UNREADABLE = "unreadable scan"
@@ -32,8 +32,8 @@ def read_flight(
     ----------
     path : a ROS 1 bag, an MCAP or sqlite file, a ROS 2 folder, a folder of such files that are parts of one recording,
         or a folder of clouds (PLY, PCD, LAS, LAZ, NPY, text) in the sensor frame with a trajectory of the drone.
-    options : what the recording does not say itself. Each may be given by its name, too, as ``poses="/odom"``, and
-        else stand in a ``recording.toml`` in the folder or beside the bag.
+    options : what the recording does not say itself. Each may be given by its name, too, as ``poses="/odom"``. What
+        neither says is taken from a ``recording.toml`` in the folder or beside the bag.
     T_drone_sensor : pose ``(4, 4)`` of the sensor, instead of ``mount``.
 
     Returns a `Flight`. Its ``prior`` is interpolated at the stamps of the scans; ``facts`` say what was taken from
@@ -42,7 +42,7 @@ def read_flight(
     """
     path, T_stated = Path(path), None if T_drone_sensor is None else checked_pose(T_drone_sensor, "T_drone_sensor")
     check_exists(path, "a recording")
-    options = options or read_options(folder_of(path), **stated)
+    options = _stated(path, options, stated)
     T_stated = options.T_drone_sensor if T_stated is None else T_stated
     if is_bag(path):
         opened = open_bag(path, options, T_stated)
@@ -76,7 +76,9 @@ def read_flight(
         T_sensor_file = np.linalg.inv(T_OPTICAL_SENSOR)[None] if options.optical else None
     if options.scans_in == "world":
         facts["frames"] += "; points are in the world, as stated, and brought back by the poses"
+        facts["mount"] = facts["mount"] if T_stated is not None else "identity, as the points are in the world"
         T_sensor_file = np.linalg.inv(poses_at.T_world_drone @ T_mount)
+        T_sensor_file = T_sensor_file @ T_UP_DOWN if options.world == "ned" else T_sensor_file
     found = Scans(walk, number, poses_at.stamp_s, T_sensor_file)
     faults = [*takewhile(bool, (scan.fault for scan in found))]
     if len(faults) == len(found):
@@ -103,16 +105,22 @@ def read_truth(path: Path | str, options: RecordingOptions | None = None, **stat
     ``groundtruth.tum`` in a folder of clouds. Raises `InputError`.
     """
     path = Path(path)
-    options = options or read_options(folder_of(path), **stated)
+    options = _stated(path, options, stated)
     if options.truth is not None:
-        truth = read_trajectory(named_file(path, options.truth), options)
+        truth = read_trajectory(named_file(folder_of(path), options.truth), options)
         return turned_up(truth, "", True) if options.world == "ned" else truth
     candidates = [truth_path(path), path / "groundtruth.tum", path / "groundtruth.txt"]
     return next((read_trajectory(file) for file in candidates if file.is_file()), None)
 
 
+def _stated(path: Path, options: RecordingOptions | None, stated: dict[str, Any]) -> RecordingOptions:
+    """The keys of ``recording.toml``, then the fields that ``options`` were made with, then single ones."""
+    given = options.model_dump(exclude_unset=True) if options else {}
+    return read_options(folder_of(path), **given | stated)
+
+
 def folder_of(path: Path) -> Path:
-    """The folder in which `recording.toml` of a recording is: the recording itself, or that of its file."""
+    """The folder in which ``recording.toml`` of a recording is: the recording itself, or that of its file."""
     return path if path.is_dir() else path.parent
 
 

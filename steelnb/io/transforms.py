@@ -17,10 +17,9 @@ T_OPTICAL_SENSOR = np.array([[0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 
 """Rotation from x forward, y left, z up to optical axes: z forward, x right, y down (REP 103)."""
 T_UP_DOWN = np.diag([1.0, -1.0, -1.0, 1.0])
 """Rotation between axes with z down (north, east, down; forward, right, down) and those with z up (REP 103)."""
-STILL = 1e-6
-"""A transform on tf that varies by less does not move: ROS 1 repeats static ones there, some in single precision."""
 OPTICAL = ("_optical", "_optical_frame")
 """Endings of the names of frames with optical axes; the first is that of REP 103."""
+AXES = {True: "z ahead, x right (optical)", False: "x ahead, z up"}
 NED = "_ned"
 """Ending of the names of frames with z down (REP 103)."""
 
@@ -43,8 +42,8 @@ class Tree:
         self._near: dict[str, list[str]] = defaultdict(list)
 
     def add(self, parent: str, child: str, path: Trajectory, is_static: bool = False) -> None:
-        """Add a transform. A static one does not replace one that moves."""
-        moves = not is_static and bool(np.ptp(path.T_world_drone, axis=0).max() > STILL)
+        """Add a transform. One that stays, as ROS 1 repeats static ones on tf, does not replace one that moves."""
+        moves = not is_static and bool((path.T_world_drone != path.T_world_drone[0]).any())
         if (parent, child) not in self._edges:
             self._parents[child].append(parent)
             self._near[parent].append(child)
@@ -149,14 +148,15 @@ class ScanFrames(NamedTuple):
 
 def scan_frames(
     tree: Tree, world: str, body: str, frames: Sequence[str], stamp_s: Array, mount: Array | None, is_depth: bool,
-    optical: bool | None,
+    optical: bool | None, T_body_drone: Array,
 ) -> ScanFrames:  # fmt: skip
     """Where scans in ``frames (N,)`` at ``stamp_s (N,)`` are on the drone's frame ``body``.
 
     ``mount``: ``T_drone_sensor`` if the user states it, else it comes from tf. ``is_depth``: depth images, whose points
-    are in optical axes by the definition of their message. ``optical``: what the user states of the points' axes, or of
-    those of a depth camera's frame. A frame is optical by its name (REP 103), that of a depth image by its message.
-    Raises `InputError` if nothing relates a frame to the drone.
+    are in optical axes by the definition of their message, as is their frame. Other frames are optical by their names
+    (REP 103). ``optical``: what the user states of the points' axes, of a depth image of those of its frame.
+    ``T_body_drone (4, 4)``: of `up_axes`, for points that the poses bring back. Raises `InputError` if nothing relates
+    a frame to the drone.
     """
     named, names = np.array(frames, dtype=object), [name for name, _ in Counter(frames).most_common()]
     if mount is not None and len(names) > 1:
@@ -170,6 +170,8 @@ def scan_frames(
             raise InputError(f"{both}, and nothing in tf relates them; expected --mount X,Y,Z,ROLL,PITCH,YAW")
         at = np.flatnonzero(named == name)
         T, known[at] = tree.place(body, name, stamp_s[at])
+        if world != body and world in tree.between(body, name):
+            T = np.linalg.inv(T_body_drone) @ T
         T_drone_scan[at] = T @ T_OPTICAL_SENSOR if of_frame[name] else T
     way = tree.between(body, names[0]) or [body]
     first = np.flatnonzero((named == names[0]) & known)[:1]
@@ -186,22 +188,25 @@ def scan_frames(
         elif len(way) == 1:
             said = f"scans are in the frame of the poses, {body}"
     chain = " → ".join([*filter(None, tree.between(world, body)[:-1] or [world]), *way])
-    axes = "z ahead, x right (optical)" if of_points[names[0]] else "x ahead, z up"
+    axes = AXES[of_frame[names[0]] if is_depth else of_points[names[0]]]
     others = f"; also in {', '.join(names[1:])}, brought to the first" if names[1:] else ""
     stated = ", as stated" if optical is not None else ", by its message" if is_depth else ", by its name"
     moved = (T_drone_scan != T_drone_sensor).any(axis=(1, 2))
     return ScanFrames(
         T_drone_sensor, known, np.array([of_points[name] for name in frames], bool),
         np.linalg.inv(T_drone_sensor) @ T_drone_scan, moved, said,
-        f"{chain}{others}; points have {axes}{stated}",
+        f"{chain}{others}; {'the camera has' if is_depth else 'points have'} {axes}{stated}",
     )  # fmt: skip
 
 
 def turned_up(poses: Trajectory, world: str, is_stated: bool) -> Trajectory:
-    """Poses in a world with z up. By its name, ``…_ned`` (REP 103), only the world has z down; if the user states it,
-    the drone's axes are forward, right, down, too."""
-    is_named = world.endswith(NED)
-    T_up_world, T_body_drone = (
-        T_UP_DOWN if turns else np.eye(4) for turns in (is_named or is_stated, not is_named and is_stated)
-    )
+    """Poses in a world with z up."""
+    T_up_world, T_body_drone = up_axes(world, is_stated)
     return Trajectory(poses.stamp_s, T_up_world @ poses.T_world_drone @ T_body_drone)
+
+
+def up_axes(world: str, is_stated: bool) -> tuple[Array, Array]:
+    """``T_up_world`` and ``T_body_drone``: axes with z up of a world and of its drone. By its name, ``…_ned`` (REP
+    103), only the world has z down; if the user states it, the drone's axes are forward, right, down, too."""
+    is_named, still = world.endswith(NED), np.eye(4)
+    return T_UP_DOWN if is_named or is_stated else still, T_UP_DOWN if is_stated and not is_named else still
