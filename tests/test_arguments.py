@@ -19,7 +19,6 @@ SCANS = [Scan(float(k), CLOUD) for k in range(3)]
 FLIGHT = Flight(SCANS, Trajectory(np.arange(3.0), POSES), np.eye(4))
 PLANNED = settings.FlightSettings.preset("planned")
 NAN = float("nan")
-POINTS = registration.make_target(CLOUD, "point")
 AXES = np.array([[[0.0, 0, 0], [0, 0, 1]]])
 CROP = settings.PreprocessSettings()
 ICP = settings.OdometrySettings.preset("icp")
@@ -80,15 +79,13 @@ REFUSED = {
     "stamp_s": [lambda: metrics.largest_slip(np.zeros(9), np.zeros(9))],
     "axis": [lambda axis=axis: metrics.bend(CLOUD, CLOUD, axis) for axis in ((0.0, 0.0, 0.0), (0.0, NAN))],
     "sigma_m": [lambda: io.write_segments(Segments.empty(), "bars.csv", np.ones((3, 2)))],
-    "covariance": [lambda: registration.gicp_as_pcl(CLOUD, CLOUD, POINTS, 1.0, 5, 1e-3)],
-    "max_correspondence_m": [lambda: registration.icp_as_pcl(CLOUD, POINTS, 0.0, 5, 1e-3)],
+    "max_correspondence_m": [lambda: registration.register(CLOUD, CLOUD, max_correspondence_m=0.0)],
     "method": [lambda: find_bars_by("houg", CLOUD), lambda: registration.register(CLOUD, CLOUD, "ipc")],
     "error": [lambda: registration.make_target(CLOUD, "icp")],
     "granularity": [lambda: hough.directions(40)],
     "seed": [lambda: rng.stream(None, "tof"), lambda: find_bars_by("hough", CLOUD, seed=-1)],
     "components": [lambda numbers=numbers: find_bars_by("gmm", CLOUD, components=numbers) for numbers in ([], [0])],
     "trials": [lambda: find_bars_by("ransac-lines", CLOUD, trials=NAN)],
-    "slots": [lambda slot=slot: points.VoxelMap(0.1).means([slot]) for slot in (True, 4)],
     "centre": [lambda: points.VoxelMap(0.1).near([NAN] * 3, 1.0)],
     "radius_m": [lambda: points.VoxelMap(0.1).near([0.0] * 3, NAN)],
     **{

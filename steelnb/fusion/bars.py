@@ -14,7 +14,7 @@ from steelnb.core.kernels import njit
 from steelnb.core.types import Array, IntArray, Segments
 from steelnb.fusion.joints import BEND_MAX, BEND_MIN, REACH_M
 from steelnb.hough.near_segments import nearest_bar, within
-from steelnb.hough.whole_structure import MIN_VOTES, segment_structure
+from steelnb.hough.whole_structure import LENGTH, MIN_VOTES, segment_structure
 from steelnb.points import VoxelMap, voxel_grid
 from steelnb.points.kdtree import advance, columns_of, gather
 from steelnb.points.surfaces import Surfaces, surfaces_of
@@ -134,18 +134,16 @@ def _contract(key, mean, weight, around, radius):  # type: ignore[no-untyped-def
     return contracted
 
 
-LENGTH_MIN_M = 0.3
-"""Minimum length of a bar."""
+LENGTH_MIN_M = LENGTH * TUBE_M
+"""Minimum length of a bar (`segment_structure`)."""
 STRUT_TUBE_M, STRUT_LENGTH_MIN_M, STRUT_HIDE_M, STRUT_CONTRACT_M = 0.04, 0.18, 0.045, 0.05
 """The same for struts, short bars between two others. ``STRUT_HIDE_M``: minimum distance of their points from bars."""
-STRUT_STEP_M = 0.03
-"""Steps in which the ends of a strut are extended."""
 GRIDS = 4
 """Number of grids of blocks in which bars are proposed. On flights, eight grids find no more bars than four."""
 IN_LINE_RAD, PIECE_GAP_MAX_M = math.radians(4), 0.3
 """Maximum angle between two pieces of one bar, and maximum gap between them."""
-COPY_RAD, COPY_M, COPY_SHARE = math.radians(15), 0.2, 0.6
-"""Maximum angle and distance of a copy from a stronger bar, and minimum share of its samples within this distance."""
+COPY_RAD, COPY_SHARE = math.radians(15), 0.6
+"""Maximum angle of a copy to a stronger bar, and minimum share of its samples within `REACH_M` of it."""
 SAMPLES = 9
 """Number of samples along a bar."""
 BEND_PLACES = np.arange(1, 12) / 12
@@ -178,7 +176,7 @@ def find_bars(ridges: Ridges, grids: int = GRIDS, rise_m: float = math.inf) -> t
 
 def bars_on_ridges(points: Array, min_votes: int, grids: int, rise_m: float) -> Segments:
     """Lines in tubes through points on ridges ``(N, 3)``, metres, split at bends and merged."""
-    bars = segment_structure(points, TUBE_M, min_votes, LENGTH_MIN_M / TUBE_M, grids)
+    bars = segment_structure(points, TUBE_M, min_votes, grids=grids)
     return merge_pieces(split_bends(points, bars), rise_m=rise_m)
 
 
@@ -193,14 +191,14 @@ def find_struts(ridges: Ridges, bars: Segments, hide_m: float, grids: int = GRID
     if len(points) < MIN_VOTES:
         return Segments.empty()
     struts = segment_structure(points, STRUT_TUBE_M, MIN_VOTES, STRUT_LENGTH_MIN_M / STRUT_TUBE_M, grids)
-    beyond = beyond_ends(struts, REACH_M, STRUT_STEP_M)
+    beyond = beyond_ends(struts, REACH_M, TUBE_M)
     near = within(beyond.reshape(-1, 3), bars, TUBE_M).reshape(beyond.shape[:3])
     return struts.take(np.asarray(near.any(axis=1).all(axis=0)))
 
 
-def beyond_ends(bars: Segments, reach_m: float, step_m: float) -> Array:
-    """Points ``(2, S, B, 3)`` from the start and the end of each bar outwards, up to ``reach_m``, ``step_m`` apart."""
-    extension = np.arange(0, reach_m + 1e-9, step_m)[:, None, None] * bars.direction
+def beyond_ends(bars: Segments, reach_m: float, tube_m: float) -> Array:
+    """Points ``(2, S, B, 3)`` from the start and the end of each bar outwards, up to ``reach_m``, half a tube apart."""
+    extension = np.arange(0, reach_m + 1e-9, 0.5 * tube_m)[:, None, None] * bars.direction
     return np.stack([bars.start - extension, bars.end + extension])
 
 
@@ -243,7 +241,7 @@ def merge_pieces(bars: Segments, width_m: Array | None = None, rise_m: float = m
     shorter one rises by no more than that, or they meet at a bend. A joined bar has the moments of its pieces, each
     taken as a uniform bar of its points.
 
-    A copy lies mostly within `COPY_M` of a stronger bar, at a small angle, and rises across it by at most ``rise_m``
+    A copy lies mostly within `REACH_M` of a stronger bar, at a small angle, and rises across it by at most ``rise_m``
     metres over its length. The rise distinguishes it from a brace at an acute angle to its chord: a line through the
     points of a tube rises by at most its radius, a brace of 1 m at 12° by 0.2 m. By default, both are dropped.
 
@@ -257,7 +255,8 @@ def merge_pieces(bars: Segments, width_m: Array | None = None, rise_m: float = m
     while len(bars):
         order = np.argsort(-bars.count, kind="stable")
         bars, width = bars.take(order), width[order]
-        copy, aside, rise = (np.maximum(m, share * width) for m, share in ((COPY_M, 0.8), (TUBE_M, 0.5), (rise_m, 0.8)))
+        bounds = ((REACH_M, 0.8), (TUBE_M, 0.5), (rise_m, 0.8))
+        copy, aside, rise = (np.maximum(bound, share * width) for bound, share in bounds)
         fate = _fates(bars.start, bars.direction, bars.length, copy, aside, rise)
         remains = fate == np.arange(len(bars))
         if remains.all():

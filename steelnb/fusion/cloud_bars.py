@@ -41,8 +41,8 @@ from steelnb.points.voxel_map import pack
 
 HALF_WIDTH_SHARE = 0.9
 """Share of a bar's points that lie within half its width of its axis."""
-FIT_TUBES, FIT_MIN, FIT_ROUNDS, FIT_SCALE = 1.5, 8, 3, 1.5
-"""See `refitted`: distance of points in tube radii, their minimum number, rounds of weights, and the scale of these in
+FIT_TUBES, FIT_ROUNDS, FIT_SCALE = 1.5, 3, 1.5
+"""See `refitted`: distance of points in tube radii, rounds of weights, and the scale of these in
 median distances."""
 TURN_MAX_RAD = math.radians(20)
 
@@ -57,7 +57,7 @@ def refitted(points: Array, bars: Segments) -> tuple[Segments, NDArray[np.bool_]
     """
     start, end, is_weak, direction = bars.start.copy(), bars.end.copy(), np.ones(len(bars), dtype=bool), bars.direction
     for bar, own in enumerate(_own_points(points, bars, FIT_TUBES * TUBE_M, TUBE_M)):
-        if len(own) < FIT_MIN:
+        if len(own) < MIN_VOTES:
             continue
         weight = np.ones(len(own))
         for _ in range(FIT_ROUNDS):
@@ -99,8 +99,11 @@ def widths_of(points: Array, bars: Segments) -> Array:
     return width_m
 
 
-APART, BESIDE = 2.0, 1.8
-"""Edge of the cells of an object, in radii of the tube; and the maximum distance of neighbours, in cells."""
+APART = 2.0
+"""Edge of the cells of an object, in radii of the tube."""
+ADJACENT = 1.8
+"""Radius, in cells or voxels, that holds the 26 around each: those of one object, and those whose weights are summed
+(``sum_m`` in `ridge_points`)."""
 AROUND, EXPLAINED_MIN = 10.0, 0.7
 """Distance to a structure of the points around it, in radii of the tube, and the minimum share of them on its bars.
 Trees and cars have 0.1 to 0.7, towers 0.9 to 1, and 0.5 to 0.7 with trees that reach into them."""
@@ -118,8 +121,6 @@ BRANCHES, LOOSE_MAX = 20, 0.5
 them that end at others: trees have 0.1 to 0.2, and woods 0.4 to 0.5."""
 ALONE = 2
 """As many bars or fewer, such as a pole in a bush, need only stand free."""
-STEP_M = 0.3
-"""Distance of the points of an axis that tell which object its bar is part of."""
 
 
 def objects_of(points: Array, cell_m: float) -> IntArray:
@@ -128,14 +129,14 @@ def objects_of(points: Array, cell_m: float) -> IntArray:
         return np.zeros(0, dtype=np.int64)
     cells = np.floor(points / cell_m)
     _, one, cell = np.unique(pack(*cells.astype(np.int64).T), return_index=True, return_inverse=True)
-    pair = cKDTree(cells[one]).query_pairs(BESIDE, output_type="ndarray")
+    pair = cKDTree(cells[one]).query_pairs(ADJACENT, output_type="ndarray")
     return connected(pair, len(one))[cell]
 
 
 def at_bars(bars: Segments, tube_m: float, these: NDArray[np.bool_] | None = None) -> NDArray[np.bool_]:
     """Whether each end of each bar, extended a little, meets another bar, or another of ``these (B,)``: ``(B, 2)``."""
     these = np.ones(len(bars), dtype=bool) if these is None else these
-    beyond = beyond_ends(bars, REACH_M / TUBE_M * tube_m, 0.5 * tube_m)
+    beyond = beyond_ends(bars, REACH_M / TUBE_M * tube_m, tube_m)
     owner = np.broadcast_to(np.where(these, np.cumsum(these) - 1, -1), beyond.shape[:3])
     meets = within(beyond.reshape(-1, 3), bars.take(these), 1.5 * tube_m, owner.ravel())
     return np.asarray(meets.reshape(owner.shape).any(axis=1).T)
@@ -161,7 +162,7 @@ def in_structures(
     distance[~on_bar], nearest[~on_bar] = steel.query(points[~on_bar], distance_upper_bound=AROUND * tube_m)
     around = np.bincount(number[nearest[np.isfinite(distance)]], minlength=number.max() + 1)
     axes = [
-        np.linspace(start, end, 3 + int(length / STEP_M))[1:-1]
+        np.linspace(start, end, 3 + int(length / LENGTH_MIN_M))[1:-1]
         for start, end, length in zip(bars.start, bars.end, bars.length, strict=True)
     ]
     own = _most_at(axes, steel, number)
@@ -329,8 +330,6 @@ class CloudBars:
         return replace(self.take(np.flatnonzero(belongs)), apart=int(np.count_nonzero(~belongs)))
 
 
-RISE_M, SUM_VOXELS = 0.2, 1.8
-"""See `merge_pieces`, and ``sum_m`` in `ridge_points`, in voxels."""
 SURE_M = 0.8
 """A bar that is shorter than this needs a bar at an end, and a bar or a surface at the other: where a flight has seen
 half of a member, it lies askew."""
@@ -449,12 +448,12 @@ def _bars_in_tubes(points: Array, voxel_m: float, min_votes: int) -> CloudBars:
     """`bars_of_cloud` with tubes of `TUBE_M`."""
     voxels = VoxelMap(voxel_m)
     voxels.insert(points)
-    ridges = Ridges.of(voxels, SUM_VOXELS * voxel_m)
+    ridges = Ridges.of(voxels, ADJACENT * voxel_m)
     free, surfaces = ridges.off_surfaces, ridges.surfaces
     label = surfaces.label_of(points)
     off, bars = points[label < 0], Segments.empty()
     if len(free) >= min_votes and np.linalg.norm(np.ptp(free, axis=0)) > 2 * LENGTH_MIN_M:
-        bars = _tied(bars_on_ridges(free, min_votes, GRIDS, RISE_M), off)
+        bars = _tied(bars_on_ridges(free, min_votes, GRIDS, REACH_M), off)
         bars, is_weak = refitted(off, split_bends(off, bars, FIT_TUBES * TUBE_M, BEND_SHARE))
         bars = _tied(bars, off, is_weak)
     width_m = widths_of(off, bars)
@@ -475,12 +474,12 @@ def _tied(bars: Segments, points: Array, is_weak: NDArray[np.bool_] | None = Non
     joint, tie, tied = find_joints(bars, width_m)
     if is_weak is not None:
         tied = between_joints(tied, joint, tie, is_weak)
-    return merge_pieces(tied, width_m, RISE_M)
+    return merge_pieces(tied, width_m, REACH_M)
 
 
 def _held(bars: Segments, surfaces: Surfaces) -> NDArray[np.bool_]:
     """Whether an end of each bar, extended a little, meets another bar, and the other end one or a surface ``(B,)``."""
-    beyond = beyond_ends(bars, REACH_M, 0.5 * TUBE_M)
+    beyond = beyond_ends(bars, REACH_M, TUBE_M)
     at_surface = surfaces.label_of(beyond.reshape(-1, 3)).reshape(beyond.shape[:3]).max(axis=1) >= 0
     at_bar = at_bars(bars, TUBE_M)
     return np.asarray((at_bar | at_surface.T).all(axis=1) & at_bar.any(axis=1))

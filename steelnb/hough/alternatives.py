@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from steelnb.core.checks import check_sequence, checked_choice, checked_integer, checked_number
+from steelnb.core.checks import checked_choice, checked_integer, checked_number
 from steelnb.core.errors import InputError
 from steelnb.core.kernels import njit
 from steelnb.core.open3d import import_open3d
@@ -20,13 +20,14 @@ from steelnb.hough.lines import default_dx, detect_lines, distinct_points
 from steelnb.hough.near_segments import nearest_bar
 from steelnb.hough.segments import counts_near, cut_and_sort, filter_pieces, merge
 from steelnb.hough.transform import drop, fit_line, fit_near_line
-from steelnb.hough.whole_structure import EXCLUDE_DX
+from steelnb.hough.whole_structure import EXCLUDE_DX, GRANULARITY, PCA_RATIO
+from steelnb.settings import HoughSettings
 
-POINTS_MIN, GAP_MAX_M, MERGE_DISTANCE_M, LENGTH_MIN_M = 15, 0.25, 0.12, 0.3
-"""Minimum number of points, maximum gap, maximum distance of merged pieces, and minimum length of a bar. Shared by all
-methods for a fair comparison. Chosen for the Hough transform on development seeds 11 to 16."""
-PCA_RATIO_MIN, RADIUS_MAX_M = 0.9, 0.07
-"""Minimum share of the variance of a bar's points along it, and their maximum root mean square distance to its axis."""
+POINTS_MIN, MERGE_DISTANCE_M, LENGTH_MIN_M = 15, 0.12, 0.3
+"""Minimum number of points, maximum distance of merged pieces, and minimum length of a bar. Shared by all methods for a
+fair comparison. Chosen for the Hough transform on development seeds 11 to 16."""
+SORTING = HoughSettings()
+"""A bar has no larger gap and no larger root mean square radius (``dx_m``) than the defaults of the Hough transform."""
 ASSIGN_DX = 1.2
 """Maximum distance of a bar's points from its axis, in dx. It exceeds 1 since lines miss the edges of wide sections."""
 END_MARGIN_M = 0.05
@@ -53,7 +54,7 @@ def bars_of_groups(points: Array, label: IntArray, points_min: int = POINTS_MIN)
 def bars_of_lines(points: Array, lines: Lines, points_min: int = POINTS_MIN) -> Segments:
     """Bars along lines, cut at gaps, merged and filtered."""
     return cut_and_sort(
-        points, lines, GAP_MAX_M, points_min, PCA_RATIO_MIN, RADIUS_MAX_M, 0.0, LENGTH_MIN_M, MERGE_DISTANCE_M,
+        points, lines, SORTING.gap_max_m, points_min, PCA_RATIO, SORTING.dx_m, 0.0, LENGTH_MIN_M, MERGE_DISTANCE_M,
     )  # fmt: skip
 
 
@@ -85,8 +86,8 @@ def refine(points: Array, bars: Segments, dx: float, points_min: int = POINTS_MI
         piece = piece[np.diff(piece, axis=1).ravel() >= 2]
         if not final:
             # Join the pieces of a partly occluded bar: its axis is now known well enough to bridge wider gaps.
-            order, piece = merge(px, py, pz, order, piece, MERGE_DISTANCE_M, 2 * GAP_MAX_M)
-        bounds = (PCA_RATIO_MIN, RADIUS_MAX_M, 0.0, LENGTH_MIN_M) if final else (0.0, np.inf, 0.0, 0.0)
+            order, piece = merge(px, py, pz, order, piece, MERGE_DISTANCE_M, 2 * SORTING.gap_max_m)
+        bounds = (PCA_RATIO, SORTING.dx_m, 0.0, LENGTH_MIN_M) if final else (0.0, np.inf, 0.0, 0.0)
         bars = Segments(*filter_pieces(px, py, pz, order, piece, *bounds))
     around = counts_near(px, py, pz, bars.start, bars.direction, bars.length, 2 * ASSIGN_DX * dx)
     return bars.take((bars.count >= points_min) & (bars.count >= OWN_SHARE_MIN * around))
@@ -95,8 +96,6 @@ def refine(points: Array, bars: Segments, dx: float, points_min: int = POINTS_MI
 PLANES_MAX, NEIGHBOURS_MIN, VARIANCE_FLOOR_M2 = 30, 10, 1e-5
 """Maximum number of RANSAC planes; minimum number of points within dx of a DBSCAN core point, itself included; minimum
 variance of a mixture component along any axis."""
-GRANULARITY = 3
-"""Granularity of `detect_lines`. Directions 8° apart suffice, since the lines are then fitted to their points."""
 SAMPLE_M, DRAWS = 0.5, 50
 """RANSAC draws the second point of a line within `SAMPLE_M` of the first, in up to `DRAWS` draws. Two random points
 of 10,000 are seldom on the same bar."""
@@ -125,8 +124,7 @@ def find_bars_by(
     seed, points_min = checked_integer(seed, "seed", 0), checked_integer(points_min, "points_min", 2)
     for name, value in options.items():
         checked_choice(name, f"option of {method}", OPTIONS.get(method, ()))
-        if name in LISTS:
-            check_sequence(value, name, "integers")
+        if name == "components":
             options[name] = tuple(checked_integer(each, f"{name}[{k}]", 1) for k, each in enumerate(value))
             if not value:
                 raise InputError(f"{name} = {value!r}: expected at least one number")
@@ -229,9 +227,7 @@ FINDERS: dict[str, Callable[..., Segments]] = {
 }
 """The methods by their names in tables and figures."""
 OPTIONS = {"ransac-planes": ("trials",), "ransac-lines": ("trials",), "gmm": ("components", "sample")}
-"""The options that a method has beside those that all have: whole numbers above 0."""
-LISTS = ("components",)
-"""Options that are lists of such numbers."""
+"""The options that a method has beside those that all have: whole numbers above 0; ``components`` is a list of them."""
 
 
 @njit(cache=True)

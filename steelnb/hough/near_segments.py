@@ -191,9 +191,8 @@ def freedom_of(points: Array, segments: Segments, half_m: Array, free_min: float
 COVERED_MIN = 0.4
 """Minimum covered share of the disc beside a line on a plate: along the edge of a square plate it is half, and beside
 bars at most 0.3, where many members meet (merged clouds of five towers, seeds 11 and 12)."""
-LENGTH_MAX, RADIUS_MIN = 25.0, 3.0
-"""Maximum length of a line on a plate, in cells, as larger plates are surfaces; and minimum radius of the disc, in
-half-widths."""
+LENGTH_MAX = 25.0
+"""Maximum length of a line on a plate, in cells, as larger plates are surfaces."""
 TURNS_RAD = np.linspace(0.0, np.pi, 12, endpoint=False)
 """Angles about a line at which planes are tried."""
 
@@ -202,14 +201,14 @@ def on_plates(points: Array, segments: Segments, half_m: Array, cell_m: float) -
     """Whether each segment lies on a plate ``(S,)``, which is about as wide as the segment is long.
 
     A segment lies on a plate if the ``points (N, 3)`` cover `COVERED_MIN` of the disc beside it, in some plane through
-    it. The segment is a diameter of this disc, whose radius is at least `RADIUS_MIN` half-widths ``half_m (S,)``. Its
+    it. The segment is a diameter of this disc, whose radius is at least `AROUND` half-widths ``half_m (S,)``. Its
     ends do not count, where it meets other bars. ``cell_m``: edge of the cells that points cover. All in metres.
     """
     is_on, length = np.zeros(len(segments), dtype=bool), segments.length
     short = np.flatnonzero(length <= LENGTH_MAX * cell_m)
     if not len(points) or not len(short):
         return is_on
-    middle, radius_m = segments.middle, np.maximum(0.5 * length, RADIUS_MIN * half_m)
+    middle, radius_m = segments.middle, np.maximum(0.5 * length, AROUND * half_m)
     around = cKDTree(points).query_ball_point(middle[short], radius_m[short])
     for k, near in zip(short.tolist(), around, strict=True):
         axis = segments.direction[k]

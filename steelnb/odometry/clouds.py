@@ -13,7 +13,7 @@ from steelnb.odometry.inertial import make_prediction
 from steelnb.odometry.near_side import NearSide, parted, pixels_on_surfaces, within_plane
 from steelnb.odometry.prediction import LastingError, RegisteredPose
 from steelnb.points import VoxelMap, preprocess_scan, smooth_ranges
-from steelnb.points.covariances import UPPER, neighbour_covariances, regularised
+from steelnb.points.covariances import neighbour_covariances, regularised
 from steelnb.points.kdtree import build_kdtree
 from steelnb.points.ranges import SIGMA_M, range_sigma_m
 from steelnb.registration import FREE, AlignOptions, AnyTarget, RegistrationResult, Target, VoxelTarget, align
@@ -194,8 +194,8 @@ class CloudOdometry(BaseOdometry):
         ray = ray / np.maximum(distance, 1e-9)[:, None]
         across = (0.5 * SIGMA_M) ** 2
         extra = range_sigma_m(distance) ** 2 - across
-        i, j = UPPER
-        covariance = (extra[:, None] * ray)[:, i] * ray[:, j] + across * np.eye(3)[UPPER]
+        i, j = upper = np.triu_indices(3)
+        covariance = (extra[:, None] * ray)[:, i] * ray[:, j] + across * np.eye(3)[upper]
         surfaces, normal = self._surfaces
         first = len(points) - len(surfaces)
         if first >= 0 and np.array_equal(points[first:], surfaces):  # unless a subclass has chosen some

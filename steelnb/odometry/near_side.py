@@ -17,7 +17,7 @@ from scipy.spatial import cKDTree
 
 from steelnb.core.kernels import njit
 from steelnb.core.types import Array, IntArray
-from steelnb.points.covariances import UPPER, neighbour_covariances, normals
+from steelnb.points.covariances import neighbour_covariances, normals
 from steelnb.points.ranges import STEP_M, ranges_ahead
 
 SHARE_OF_WIDTH = 0.10
@@ -142,5 +142,5 @@ def parted(bars: Array, surfaces: Array) -> tuple[Array, Array, Array]:
 
 def within_plane(normal: Array) -> Array:
     """Covariances ``(M, 6)`` of `PLANE_M2` within the planes of unit normals ``(M, 3)``: upper triangles, m²."""
-    i, j = UPPER
-    return np.asarray(PLANE_M2 * (np.eye(3)[UPPER] - normal[:, i] * normal[:, j]))
+    i, j = upper = np.triu_indices(3)
+    return np.asarray(PLANE_M2 * (np.eye(3)[upper] - normal[:, i] * normal[:, j]))

@@ -9,10 +9,8 @@ from steelnb.core.types import Array, IntArray
 from steelnb.points.kdtree import KdTree, build_kdtree, nearest_k, within_radius
 from steelnb.points.moments import NO_MOMENTS, add_point, covariance, eigen
 
-UPPER = [0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2]
-"""Rows and columns of the upper triangle in storage order: xx xy xz yy yz zz."""
 FULL = np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])
-"""Row and column → index in that order."""
+"""Row and column of a symmetric matrix → index in its upper triangle, in storage order: xx xy xz yy yz zz."""
 NEIGHBOURS = 20
 """Default number of points per covariance, as in PCL's GICP."""
 PLANE_THICKNESS = 1e-3

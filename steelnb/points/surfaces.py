@@ -329,15 +329,15 @@ class Surfaces:
 COARSER, DENSE_MIN, CLEAR_VOXELS = (2, 4), 4, 3
 """See `surfaces_of`: wider cells, in multiples of the edge; number of points in a voxel of dense steel, or this part
 of the usual one; and distance of what is sparse from it, in voxels, since range noise spreads points around a bar."""
-RINGS, NEW_RINGS_MIN, BELOW_MAX, CONTINUED = (8, 16, 32), 0.02, 0.02, 6.4
-"""Cells in which ground is sought that was scanned in rings, in multiples of the edge; minimum share of it that is new;
-maximum share of the points below it; and how many times farther than other surfaces it continues past its cells."""
+RINGS, FEW, CONTINUED = (8, 16, 32), 0.02, 6.4
+"""Cells in which ground is sought that was scanned in rings, in multiples of the edge; share of it that must be new,
+and of the points that may lie below it; and how many times farther than other surfaces it continues past its cells."""
 STEPS, GROUND_STEPS = 3, 9
 """Maximum number of cells by which a surface continues, and by which ground does, which is seen in strips and patches.
 A member may continue a wall or a deck in its plane."""
-RINGS_MAX, ROWS_MIN, LINE_CELLS = 0.8, 0.97, 2.5
+RINGS_MAX, ROWS_MIN = 0.8, 0.97
 """Maximum share of the lines of rings in four directions, .4 to .6 for ground and 1 for a lattice; minimum share of
-those on a wall in one direction; and radius, in cells, in which a direction is measured."""
+those on a wall in one direction. A direction is measured within `BESIDE` cells."""
 
 
 def surfaces_of(voxels: VoxelMap, ridge: Array, cell_m: float) -> Surfaces:
@@ -357,11 +357,11 @@ def surfaces_of(voxels: VoxelMap, ridge: Array, cell_m: float) -> Surfaces:
         is_sparse[is_sparse] = np.isinf(distance)
 
     def is_level_or_in_rows(wide: Surfaces) -> NDArray[np.bool_]:
-        rows = _lines_off(wide, ~wide.is_level, found, thin, LINE_CELLS * cell_m, share_of_rows)
+        rows = _lines_off(wide, ~wide.is_level, found, thin, BESIDE * cell_m, share_of_rows)
         return wide.is_level | (rows >= ROWS_MIN)
 
     def is_ground_in_rings(wide: Surfaces) -> NDArray[np.bool_]:
-        return _lines_off(wide, _is_ground(wide, thin), found, thin, LINE_CELLS * cell_m, share_of_lattice) <= RINGS_MAX
+        return _lines_off(wide, _is_ground(wide, thin), found, thin, BESIDE * cell_m, share_of_lattice) <= RINGS_MAX
 
     near_m = NEAR * cell_m
     for wider in COARSER:
@@ -369,7 +369,7 @@ def surfaces_of(voxels: VoxelMap, ridge: Array, cell_m: float) -> Surfaces:
         found = found.extended(thin[is_sparse | (label >= 0)], wider * cell_m, near_m)
         found = found.extended(thin, wider * cell_m, near_m, is_level_or_in_rows)
     for wider in RINGS:
-        found = found.extended(thin, wider * cell_m, near_m, is_ground_in_rings, NEW_RINGS_MIN)
+        found = found.extended(thin, wider * cell_m, near_m, is_ground_in_rings, FEW)
     # Last, since what is sought in wider cells must be new.
     is_in_rings = found.cell_m > COARSER[-1] * cell_m
     found = replace(found, reach_m=np.where(is_in_rings, CONTINUED, 1.0) * found.reach_m)
@@ -398,7 +398,7 @@ def _lines_off(
 
 
 def _is_ground(surfaces: Surfaces, points: Array) -> NDArray[np.bool_]:
-    """Whether each surface is level and the lowest ``(S,)``: at most `BELOW_MAX` of the ``points (N, 3)`` lie below it,
+    """Whether each surface is level and the lowest ``(S,)``: at most `FEW` of the ``points (N, 3)`` lie below it,
     by more than twice its band."""
     is_ground, cells_of, height = surfaces.is_level, surfaces.cells, points[:, 2]
     for k in np.flatnonzero(is_ground).tolist():
@@ -406,8 +406,8 @@ def _is_ground(surfaces: Surfaces, points: Array) -> NDArray[np.bool_]:
         bound = cells[:, 2] - 2 * surfaces.band_m
         below, unsure = height < bound.min(), (height >= bound.min()) & (height < bound.max())
         count, most = np.count_nonzero(below), np.count_nonzero(below | unsure)
-        if count / len(points) <= BELOW_MAX < most / len(points):
+        if count / len(points) <= FEW < most / len(points):
             nearest = cKDTree(cells[:, :2]).query(points[unsure, :2])[1]
             count += np.count_nonzero(height[unsure] < bound[nearest])
-        is_ground[k] = count / len(points) <= BELOW_MAX
+        is_ground[k] = count / len(points) <= FEW
     return is_ground

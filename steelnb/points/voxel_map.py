@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from steelnb.core.checks import checked_array, checked_cloud, checked_kind, checked_number
+from steelnb.core.checks import checked_array, checked_cloud, checked_number
 from steelnb.core.errors import InputError
 from steelnb.core.kernels import njit
 from steelnb.core.types import Array, IntArray
@@ -339,7 +339,7 @@ class VoxelMap:
         """Means ``(M, 3)`` in metres of all voxels, or of the voxels ``slots``; without ``copy`` for use until the next
         insertion."""
         if slots is not None:
-            return self._mean[self._checked(slots, 0)]
+            return self._mean[: self._size][slots]
         return self._mean[: self._size].copy() if copy else self._mean[: self._size]
 
     def weights(self) -> Array:
@@ -361,7 +361,6 @@ class VoxelMap:
 
         Rows ``slots (N,)`` are computed, −1 is ignored; others are undefined. Valid until the next insertion.
         """
-        slots = self._checked(slots, -1)
         self.link()
         _shapes(slots, floor_m2, self._shape, self._shape_mark, self._mark, self.voxel_m, self._around, self._moment)
         return self._shape[: self._size]
@@ -372,14 +371,6 @@ class VoxelMap:
         It is −1 if none is within ``limit_m``. ``state`` of the last call for the same source saves searches, whose
         number is returned.
         """
-        checked_kind(state, "state", tuple, "SearchState.of(len(source))")
-        n = len(source)
-        shapes = [np.shape(each) for each in (source, T, match, *state)]
-        if shapes != [(n, 3), (4, 4), (n,), (n,), (n,), (n, 3)]:
-            wanted = f"expected ({n}, 3) and (4, 4), and match and state of {n} points"
-            raise InputError(f"source and T of shapes {shapes[0]} and {shapes[1]}: {wanted}")
-        if not limit_m >= 0 or state.nearest.max(initial=-1) >= self._size:
-            raise InputError(f"limit_m = {limit_m}: expected 0 or more, and the state of a search in this map")
         self.link()
         return int(_correspond(source, T, limit_m, self.voxel_m, *self._table, self._around, self._mean, match, *state))
 
@@ -388,16 +379,6 @@ class VoxelMap:
         within five voxels are then found in a quarter of the time."""
         self.link()
         self.tree = build_kdtree(self.means()) if len(self) else None
-
-    def _checked(self, slots: IntArray, low: int) -> IntArray:
-        """Slots of this map. Raises `InputError`: compiled code would read beyond its arrays."""
-        slots = np.asarray(slots) if np.size(slots) else np.zeros(np.shape(slots), dtype=np.int64)
-        expected = f"whole numbers from {low} to {self._size - 1}"
-        if slots.dtype.kind not in "iu" or (low < 0 and slots.ndim != 1):
-            raise InputError(f"slots: {slots.dtype} of shape {slots.shape}; expected {expected} in an array (N,)")
-        if slots.size and not low <= slots.min() <= slots.max() < self._size:
-            raise InputError(f"slots: {slots[(slots < low) | (slots >= self._size)][0]}; expected {expected}")
-        return slots
 
     def link(self) -> None:
         """Find the voxels around each new voxel. `shapes` and `correspond` do so when they are called first, and after

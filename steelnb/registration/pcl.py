@@ -17,13 +17,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from steelnb.core.checks import checked_array, checked_integer, checked_kind, checked_number
-from steelnb.core.errors import InputError
 from steelnb.core.geometry import transform_points
 from steelnb.core.kernels import njit
 from steelnb.core.types import Array
-from steelnb.points.covariances import FULL, UPPER
-from steelnb.registration.target import AnyTarget, Target, VoxelTarget
+from steelnb.points.covariances import FULL
+from steelnb.registration.target import AnyTarget
 
 STEPS_MAX = 20
 GRADIENT_MAX = 1e-2
@@ -52,7 +50,7 @@ def euler_pose(x):
 def pair_metrics(source_covariance, target_covariance, R):
     """Metric (C_target + R C_source Rᵀ)⁻¹ of each pair: ``(P, 6)``, upper triangles xx xy xz yy yz zz."""
     inverse = np.linalg.inv(target_covariance[:, FULL] + R @ source_covariance[:, FULL] @ R.T)
-    return np.ascontiguousarray(inverse[:, *UPPER])
+    return np.ascontiguousarray(inverse[:, *np.triu_indices(3)])
 
 
 @njit(cache=True, error_model="numpy")
@@ -223,9 +221,9 @@ def icp_as_pcl(
 
     It stops after a step with ‖translation‖² ≤ ``epsilon`` and cos(angle) ≥ 1 − ``epsilon``; for 1e-3 that is a step
     below 3.2 cm and 2.6°. It also stops when the mean squared error of the pairs changes by less than the fraction
-    ``mse_change_min``. Reaching ``iterations_max`` counts as converged. Raises `InputError`.
+    ``mse_change_min``. Reaching ``iterations_max`` counts as converged.
     """
-    source, T, previous_mse_m2 = _checked(source, target, max_correspondence_m, iterations_max, epsilon), np.eye(4), 0.0
+    T, previous_mse_m2 = np.eye(4), 0.0
     search = target.search(source, max_correspondence_m)
     for iteration in range(1, iterations_max + 1):
         match = search(T)
@@ -258,12 +256,9 @@ def gicp_as_pcl(
     Each step finds correspondences, fixes their metrics and calls `minimise`, which stops at a gradient of 1e-2. This
     leaves an error of up to a centimetre in the plane of a surface. The pose is therefore biased towards its
     start in directions with few normals. `minimise` also stops when single precision hides the slope (`mean_cost`).
-    Reaching ``iterations_max`` counts as converged. Raises `InputError`.
+    Reaching ``iterations_max`` counts as converged.
     """
-    source, T, x = _checked(source, target, max_correspondence_m, iterations_max, epsilon), np.eye(4), np.zeros(6)
-    covariance = checked_array(covariance, "covariance", (len(source), 6))
-    if len(target.covariance) != len(target.point):
-        raise InputError("target: without covariances; expected make_target(cloud, 'gicp')")
+    T, x = np.eye(4), np.zeros(6)
     search = target.search(source, max_correspondence_m)
     for iteration in range(1, iterations_max + 1):
         match = search(T)
@@ -278,17 +273,6 @@ def gicp_as_pcl(
         if change[:3, :3].max() < ROTATION_EPSILON and change[:3, 3].max() < epsilon:
             break
     return Aligned(T, True, iteration, len(chosen))
-
-
-def _checked(
-    source: Array, target: AnyTarget, max_correspondence_m: float, iterations_max: int, epsilon: float
-) -> Array:
-    """The source, if all arguments are in range, else an `InputError`."""
-    checked_kind(target, "target", Target | VoxelTarget, "make_target")
-    checked_number(max_correspondence_m, "max_correspondence_m", above=0)
-    checked_integer(iterations_max, "iterations_max", 1)
-    checked_number(epsilon, "epsilon", 0)
-    return checked_array(source, "source", ("N", 3))
 
 
 def least_squares_motion(source_points: Array, target_points: Array) -> Array:

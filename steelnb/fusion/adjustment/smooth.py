@@ -26,7 +26,7 @@ from steelnb.core.estimates import Estimate
 from steelnb.core.geometry import UPRIGHT_DOF
 from steelnb.core.types import Array, Flight, IntArray, Segments, Trajectory
 from steelnb.fusion.adjustment import problem
-from steelnb.fusion.adjustment.factors import TILT_SIGMA_RAD, PointEquations, linearised, summed
+from steelnb.fusion.adjustment.factors import ROBUST_SIGMAS, TILT_SIGMA_RAD, PointEquations, linearised, summed
 from steelnb.fusion.adjustment.imu_factors import Inertial, check_overlap
 from steelnb.fusion.adjustment.problem import BAR_DOF, Bars, Problem, pose_size
 from steelnb.fusion.adjustment.solver import Chain, improve, normal_equations
@@ -39,11 +39,11 @@ from steelnb.settings import ImuSettings, StructureSettings
 
 Stages = tuple[tuple[int, int], ...]
 """Stages ``(n, steps)`` of an adjustment: number of steps with one in n pixels."""
-FACE_SIGMAS, FACE_MAX_TUBES, RATIO_MIN = 2.5, 1.3, 0.8
-"""Maximum distance of a point from the front face of its bar in an adjustment, in standard deviations of the range
-noise and in tube radii; and minimum noise ratio for the first, below which large residuals are due to poses and
-sections. With ``starling2``, 2 to 3 standard deviations give similar errors. With the report's sensor, a larger bound
-leaves too few points of the first scan, which fixes the world frame."""
+FACE_MAX_TUBES, RATIO_MIN = 1.3, 0.8
+"""Maximum distance of a point from the front face of its bar in an adjustment, in tube radii beside `ROBUST_SIGMAS`
+standard deviations of the range noise; and minimum noise ratio for the latter, below which large residuals are due
+to poses and sections. With ``starling2``, 2 to 3 standard deviations give similar errors. With the report's sensor, a
+larger bound leaves too few points of the first scan, which fixes the world frame."""
 
 
 def adjust(
@@ -81,9 +81,9 @@ def adjust(
 def _points_near_faces(
     scans: MappedScans, voxels: BarVoxels, pixels: int, bars: Bars, sigma_ratio: float
 ) -> Iterator[tuple[int, Array, IntArray]]:
-    """The `MappedScans.bar_points` within `FACE_SIGMAS` of the front faces of their bars (`BarVoxels.on_face`);
+    """The `MappedScans.bar_points` within `ROBUST_SIGMAS` of the front faces of their bars (`BarVoxels.on_face`);
     ``sigma_ratio``: range noise as a multiple of that in `points.ranges`."""
-    sigmas = FACE_SIGMAS * max(sigma_ratio, RATIO_MIN)
+    sigmas = ROBUST_SIGMAS * max(sigma_ratio, RATIO_MIN)
     for k, points, bar in scans.bar_points(voxels, pixels=pixels):
         on_face = voxels.on_face(points, bar, scans.T_world_sensor[k], bars, sigmas, FACE_MAX_TUBES * TUBE_M)
         yield k, points[on_face], bar[on_face]

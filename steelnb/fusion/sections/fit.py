@@ -259,18 +259,18 @@ def fit_section(cells, merged, rows, profile, centre, slope):  # type: ignore[no
 
 RADII_M = np.array([0.015, 0.03, 0.06, 0.12])
 """Initial radii of the search."""
-TUBE_MAX_M = 0.12
+TUBE_MAX_M = float(RADII_M.max())
 """Maximum radius of a tube. Circles fitted to nearly flat faces have radii of 14 cm and more."""
-TUBE_SHARE_MAX, LIKELIHOOD_MIN = 0.75, 25.0
+CLEARLY_BETTER, LIKELIHOOD_MIN = 0.75, 25.0
 """A bar is round if the cost of a circle is at most this share of that of the best angle section, and if its
 log-likelihood is larger by this much: minus half the number of cells times the logarithm of the share, as for normal
 residuals of unknown variance. In 7000 fits to angle sections (development seeds 11 and 12, both sensors and flights,
 true and corrected poses), the smallest share above 100 cells was 0.86, and the largest log-likelihood ratio 15."""
 SEARCH_STEPS, CIRCLE_STEPS = 10, 6
-PLATE_MIN_M, PLATE_SHARE_MAX, VIEWS_MIN, FEW_VIEWS_SHARE_MAX = 0.16, 1.5, 5, 0.75
+PLATE_MIN_M, PLATE_SHARE_MAX, VIEWS_MIN = 0.16, 1.5, 5
 """A bar is a plate if its points are at least this wide, and the cost of planes is at most a share of that of the best
-angle section: the first share, or the second if the bar was seen from fewer than `VIEWS_MIN` directions, from which
-only one flange of an angle may be visible. Of 40 bars on plates of the report's tower (development seed 11), this
+angle section: `PLATE_SHARE_MAX`, or `CLEARLY_BETTER` if the bar was seen from fewer than `VIEWS_MIN` directions, from
+which only one flange of an angle may be visible. Of 40 bars on plates of the report's tower (development seed 11), this
 recognises the 22 largest; of 340 on angles, there and on the tapered tower, it accepts none. On a flight up one face of
 the tapered tower (seed 1), it mistakes two of 210 members for plates."""
 SLOPE_MAX = 0.3
@@ -324,7 +324,7 @@ def fit_sections(histogram, length, thickness=THICKNESS):  # type: ignore[no-unt
         if state[b, 4] > TUBE_MAX_M:
             continue
         likelihood[b] = np.nan  # as yet
-        bound = min(TUBE_SHARE_MAX, math.exp(-2.0 * LIKELIHOOD_MIN / len(cells)))
+        bound = min(CLEARLY_BETTER, math.exp(-2.0 * LIKELIHOOD_MIN / len(cells)))
         if cost[b] <= bound * angle:  # false for most bars, and saves a fit
             least = least_angle_cost(cells, merged, profile)
             likelihood[b] = 0.5 * len(cells) * math.log(least / cost[b])
@@ -367,7 +367,7 @@ def _make_plate(fitted, b, cells, merged, angle, profile):  # type: ignore[no-un
     ``angle``: its `angle_cost`.
     """
     cost, width, middle, normal = fit_planes(cells)
-    bound = PLATE_SHARE_MAX if np.unique(cells[:, 6]).size >= VIEWS_MIN else FEW_VIEWS_SHARE_MAX
+    bound = PLATE_SHARE_MAX if np.unique(cells[:, 6]).size >= VIEWS_MIN else CLEARLY_BETTER
     if not (width >= PLATE_MIN_M and cost <= bound * angle):  # saves a fit
         return False
     if not cost <= bound * least_angle_cost(cells, merged, profile):
