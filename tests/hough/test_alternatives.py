@@ -1,7 +1,6 @@
 import numpy as np
 import pytest
 
-from steelnb.core.errors import InputError
 from steelnb.hough import alternatives
 from steelnb.hough.alternatives import FINDERS, find_bars_by
 from tests.hough.made import ends_off_m, strip
@@ -50,19 +49,6 @@ def test_a_seed_gives_the_same_bars(method):
     for name in ("start", "end", "count", "radius"):
         np.testing.assert_array_equal(getattr(once, name), getattr(again, name))
     np.testing.assert_array_equal(points, before)
-
-
-@pytest.mark.parametrize(
-    ("points", "options", "message"),
-    [
-        (np.ones((40, 3)), {}, "cloud of 40 points, .*two distinct"),
-        (cloud(), {"dx": float("nan")}, "dx = nan"),
-        (cloud(), {"points_min": 1}, "points_min = 1"),
-    ],
-)
-def test_invalid_input_is_named_in_the_error(points, options, message):
-    with pytest.raises(InputError, match=message):
-        find_bars_by("hough", points, **options)
 
 
 def test_gmm_selects_the_number_of_components():

@@ -17,11 +17,12 @@ from tests.hough.made import strip
 def test_nearest_bar_equals_its_slow_twin(seed, end_margin):
     rng = np.random.default_rng(seed)
     points, candidates = rng.uniform(-1, 1, (60, 3)), bars_of(rng.uniform(-1, 1, (5, 2, 3)))
-    label = nearest_bar(points, candidates, 0.4, end_margin)
+    distance = rng.uniform(0.1, 0.5, 5)
+    label = nearest_bar(points, candidates, distance, end_margin)
     for point, found in zip(points, label, strict=True):
         along = ((point - candidates.start) * candidates.direction).sum(axis=1)
         across = np.linalg.norm(point - candidates.start - along[:, None] * candidates.direction, axis=1)
-        across[(along < -end_margin) | (along > candidates.length + end_margin) | (across >= 0.4)] = np.inf
+        across[(along < -end_margin) | (along > candidates.length + end_margin) | (across >= distance)] = np.inf
         assert found == (-1 if np.isinf(across).all() else across.argmin())
 
 

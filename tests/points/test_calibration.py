@@ -51,15 +51,6 @@ def test_without_a_calibration_the_flight_is_the_same_object_and_zeros_stay_no_r
     assert points[2, 0] == pytest.approx(1.99)
 
 
-@pytest.mark.parametrize("value", [float("nan"), -1.0, 2.0])
-def test_an_impossible_scale_is_refused_in_one_line(value):
-    with pytest.raises(InputError, match="range_scale") as caught:
-        TofSettings(range_scale=value)
-    assert "\n" not in str(caught.value)
-    with pytest.raises(InputError, match=r"range_offset_m"):
-        TofSettings(range_offset_m=float("nan"))
-
-
 def test_a_wall_tells_scale_and_offset_to_their_standard_deviations():
     tof, off = TofSettings.preset("starling2-honest"), []
     for seed in range(40):
@@ -89,9 +80,8 @@ def test_a_wall_tells_scale_and_offset_to_their_standard_deviations():
     ],
 )
 def test_a_calibration_needs_three_distances_in_the_unit_of_the_ranges(distance_m, range_m):
-    with pytest.raises(InputError) as caught:
+    with pytest.raises(InputError):
         fitted_calibration(distance_m, range_m)
-    assert "\n" not in str(caught.value)
 
 
 def test_sigmas_of_a_calibration_stretch_the_path_from_its_first_pose():
