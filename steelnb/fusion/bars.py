@@ -1,7 +1,7 @@
-"""Ridges in the weights of a voxel map: the voxels along bars, without the range noise around them, and without the
-surfaces, where lines in any direction would pass for bars.
+"""Bars of a voxel map: ridges of its weight, lines in blocks of them, and collinear pieces merged.
 
-Bars proposed from a voxel map: find ridges of weight, fit lines to blocks of them, merge collinear pieces.
+Ridges are the voxels along bars, without the range noise around them, and without the surfaces, where lines in any
+direction would pass for bars.
 """
 
 import math

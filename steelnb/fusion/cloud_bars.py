@@ -1,10 +1,8 @@
-"""Bars refitted to the points of a cloud, each to those that are nearest to it, and their widths.
+"""The bars of a merged cloud, without scans and poses: lines on ridges of its density, off surfaces (`bars_of_cloud`).
 
-Bars of a structure, told from lines in trees and vehicles, by what lies around them and where they end.
-
-The bars of a merged cloud, the surfaces that were left out, and what they leave.
-
-The bars of a merged cloud, without scans and poses: lines on ridges of its density, surfaces left out.
+In this order: bars refitted to their points, and their widths (`refitted`); those of structures, told from lines in
+trees and vehicles by what lies around them and where they end (`in_structures`); what was found (`CloudBars`); and the
+search in tubes of several widths.
 """
 
 import itertools

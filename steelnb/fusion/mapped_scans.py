@@ -1,7 +1,6 @@
-"""The scans of a flight, their poses, and the voxels in which they were accumulated: what bars are found in and fitted
-to.
+"""The scans of a flight, with poses and the voxels in which they were accumulated, and bars fitted to their points.
 
-Bars fitted to the points of mapped scans: their sections, and their axes through the centroids of these.
+A bar has a section, and its axis runs through the centroids of this.
 """
 
 import math

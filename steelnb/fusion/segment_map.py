@@ -1,6 +1,6 @@
 """The map of segment odometry: the segments of all scans so far, associated and merged by their moments.
 
-The report's incremental reconstruction: the bars of a map so far, tied at joints.
+`structure_of` is the report's incremental reconstruction: the bars of a map, tied at joints.
 """
 
 import math

@@ -1,6 +1,4 @@
-"""Bars from lines or groups of points: cut, merge, filter and refit. Shared by all methods.
-
-Points → `Segments`, by the methods that the report compares (its section 1.1).
+"""Points → `Segments`, by the methods that the report compares (its section 1.1), and the refinement that all share.
 
 Open3D and scikit-learn are imported by the methods that use them, since the imports take seconds.
 """

@@ -1,9 +1,8 @@
-"""Points sorted into cubes, to find the points near a line in time proportional to their number.
+"""What lies near a segment: its points, how free it stands, and plates beside it.
 
-Which segment each point is on, and how free segments stand: a line through a wall or the ground is as good a line as
-one along a bar, but has points beside it.
-
-Lines on small plates, such as gussets at joints: too small for a surface, and long enough for a bar.
+A line through a wall or the ground is as good a line as one along a bar, but has points beside it (`freedom_of`). A
+gusset at a joint is too small for a surface, and long enough for a bar (`on_plates`). Points are sorted into cubes, so
+that those near a line are found in time proportional to their number (`walk`).
 """
 
 import math

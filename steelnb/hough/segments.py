@@ -1,8 +1,6 @@
-"""Compiled steps from lines to segments: cut at gaps, merge collinear pieces, fit, filter by shape.
+"""Lines → segments: cut at gaps, merge collinear pieces, filter by shape (the report's "segments sorting").
 
 A piece is a range (first, one past last) in ``order``, which holds indices of points.
-
-Lines → segments: cut at gaps, merge collinear pieces, filter by shape (the report's "segments sorting").
 """
 
 import math

@@ -1,6 +1,4 @@
-"""Directions of lines: the upper half of a subdivided icosahedron (Jeltsch, Dalitz, Pohle-Froehlich, VISAPP 2016).
-
-Compiled parts of the iterative Hough transform: the votes of one direction, the line fit, the loop.
+"""The iterative Hough transform: its directions, the votes of one of them, the line fit, and the loop, compiled.
 
 Source: Dalitz, Schramke, Jeltsch, "Iterative Hough Transform for Line Detection in 3D Point Clouds", Image Processing
 On Line 7 (2017), 184–196: equations (2), (3) and (7), and Algorithm 1.

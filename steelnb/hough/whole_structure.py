@@ -1,8 +1,4 @@
-"""Segments of small blocks of a whole structure, by the iterative Hough transform.
-
-Growth of a proposed segment through the free points of a whole cloud.
-
-Segments of a whole structure: Hough transforms of small blocks, then a greedy selection among their segments.
+"""Segments of a whole structure: Hough transforms of small blocks, then a greedy selection among their segments.
 
 A single transform of a whole tower fails in two ways. Its directions are some degrees apart, which moves the far end of
 a long line by many dx. And a line across twenty bars of a face gets more votes than any bar. Blocks a few bars wide

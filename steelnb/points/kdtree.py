@@ -1,7 +1,7 @@
-"""A compiled k-d tree for nearest-neighbour and radius search.
+"""A compiled k-d tree for nearest-neighbour and radius search, and the voxels around each voxel of a map.
 
-The voxels around each voxel, by one sweep through the sorted keys of all: a hash table would be asked hundreds of
-times a voxel, mostly for voxels that do not exist.
+The latter are found by one sweep through the sorted keys of all (`advance`, `gather`): a hash table would be asked
+hundreds of times a voxel, mostly for voxels that do not exist.
 """
 
 from typing import NamedTuple

@@ -1,9 +1,8 @@
-"""Range noise, and the sigma filter that reduces it.
+"""Ranges: their noise, the sigma filter that reduces it, and their correction by a calibration.
 
-Ranges of a calibrated camera: the driver's, corrected by the scale and offset that its owner measured.
-
-Neither shows in the scans of a flight, where map and path grow by the same share. Against known distances they show in
-minutes (`steelnb.simulation.tof`, docs/settings.md).
+A calibration is the scale and offset that the camera's owner measured. Neither shows in the scans of a flight, where
+map and path grow by the same share. Against known distances they show in minutes (`steelnb.simulation.tof`,
+docs/settings.md).
 """
 
 from collections.abc import Sequence

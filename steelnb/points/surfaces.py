@@ -1,11 +1,9 @@
-"""Compiled search for the cells of a cloud that lie on surfaces.
+"""Surfaces of a cloud: ground, walls, decks and roofs, where points cover a plane over much more than a bar's width.
 
-Directions of the lines in which a scanner samples a surface: a spinning one leaves rings on the ground, and rows on
-walls. Between them there may be metres.
-
-Surfaces of a cloud: ground, walls, decks and roofs, where points cover a plane over much more than a bar's width.
-
-The search for the surfaces of a whole cloud, however densely each is sampled.
+In this order: the cells that lie on a covered plane (`local_planes`), the lines in which a scanner samples a surface
+(`line_directions`), the surfaces as connected cells (`Surfaces`), and the search for those of a whole cloud, however
+densely each is sampled (`surfaces_of`). A spinning scanner leaves rings on the ground and rows on walls, between which
+there may be metres.
 """
 
 import math

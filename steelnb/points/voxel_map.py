@@ -1,7 +1,4 @@
-"""Compiled parts of the voxel map: a hash table of voxels with open addressing, and the moments of their points.
-
-An incremental voxel map: a hash table of voxels with the moments of their points.
-"""
+"""An incremental voxel map: a hash table of voxels with open addressing, and the moments of their points."""
 
 from typing import NamedTuple
 

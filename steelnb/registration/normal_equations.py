@@ -5,12 +5,20 @@ q moves by ``ω × (q − c) + v``. The normal equations ``H ξ = −b`` (6×6 a
 conditioned at any distance from the origin, and v is the translation of the scan itself.
 """
 
+from enum import IntEnum
+
 import numpy as np
 
 from steelnb.core.kernels import njit
 from steelnb.core.robust import geman_mcclure
 
-POINT, PLANE, GICP = 0, 1, 2
+
+class PairError(IntEnum):
+    """The errors of the ICP family, as kernels take them."""
+
+    POINT = 0
+    PLANE = 1
+    GICP = 2
 
 
 @njit(cache=True, error_model="numpy")
@@ -19,9 +27,9 @@ def _metric(error, i, j, source_covariance, normal, target_covariance, R):
 
     The identity for POINT, n nᵀ for PLANE, (C_target + R C_source Rᵀ)⁻¹ for GICP.
     """
-    if error == POINT:
+    if error == PairError.POINT:
         return 1.0, 0.0, 0.0, 1.0, 0.0, 1.0
-    if error == PLANE:
+    if error == PairError.PLANE:
         nx, ny, nz = normal[j, 0], normal[j, 1], normal[j, 2]
         return nx * nx, nx * ny, nx * nz, ny * ny, ny * nz, nz * nz
     r00, r01, r02, r10, r11, r12 = R[0, 0], R[0, 1], R[0, 2], R[1, 0], R[1, 1], R[1, 2]
@@ -52,7 +60,7 @@ def linearise(
     """Write the normal equations at T about ``centre`` to ``H (6, 6)`` and ``b (6,)``; returns the loss, the number of
     pairs and the sum of their squared distances, m².
 
-    ``error`` is POINT, PLANE or GICP. Covariances are ``(N, 6)``, upper triangles xx xy xz yy yz zz. Those of the
+    ``error`` is a `PairError`. Covariances are ``(N, 6)``, upper triangles xx xy xz yy yz zz. Those of the
     source are rotated by ``R (3, 3)``, which Gauss–Newton holds fixed. Pairs farther apart than ``limit`` are ignored.
     """
     H[:, :] = 0.0

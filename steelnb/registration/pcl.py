@@ -1,15 +1,14 @@
-"""The compiled minimiser of PCL's GICP: BFGS with Fletcher's line search and PCL's tolerances.
-
-Source: Fletcher, "Practical Methods of Optimization" (2nd edition, 1987), sections 2.6 and 3.2. PCL stores only the
-last step and gradient, not a matrix, and interpolates by parabolas only. A pose is ``x (6,)``: translation, then roll,
-pitch and yaw about the axes of the world, applied in this order.
-
-ICP and GICP with the solver and stopping rules of PCL, which the programs of the report called.
+"""ICP and GICP with the solver and stopping rules of PCL, which the programs of the report called.
 
 Source: PCL 1.13 (`icp.hpp`, `gicp.hpp`, `default_convergence_criteria.hpp`). The report ran 1.10. At that time,
 GICP compared the norm of the whole gradient with the bound; 1.13 compares translation and angles separately. Source
 and target are in the world frame, and every step is a motion about its origin. So the bounds on the translation of a
 step are stricter far from the origin. ``setRANSACOutlierRejectionThreshold`` has no effect: neither class reads it.
+
+GICP's minimiser is BFGS with Fletcher's line search and PCL's tolerances: Fletcher, "Practical Methods of
+Optimization" (2nd edition, 1987), sections 2.6 and 3.2. PCL stores only the last step and gradient, not a matrix, and
+interpolates by parabolas only. A pose is ``x (6,)``: translation, then roll, pitch and yaw about the axes of the world,
+applied in this order.
 """
 
 import math

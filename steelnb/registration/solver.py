@@ -1,15 +1,12 @@
-"""What a registration gives.
+"""The solver of the ICP family: find correspondences, linearise, solve in the free directions, repeat.
 
-Translations that the visible surfaces do not determine, such as those along a wall or over flat ground.
-
-The nearest neighbours of a scan in the map lie where the sensor sampled the surface. Even along a smooth wall the
-correspondences therefore fit best at one pose: that of the earlier scan. The information of this false minimum grows
-with the number of points, so no prior outweighs it. The solver therefore keeps the predicted translation in directions
-in which hardly any surface has its normal. This is the solution remapping of Zhang, Kaess and Singh, "On degeneracy of
-optimization-based state estimation problems" (ICRA 2016). It uses the normals instead of the Hessian, which depends on
-the sampling.
-
-The solver of the ICP family: find correspondences, linearise, solve in the free directions, repeat.
+It does not translate in directions that the visible surfaces do not determine, such as those along a wall or over flat
+ground (`unobserved_shifts`). The nearest neighbours of a scan in the map lie where the sensor sampled the surface. Even
+along a smooth wall the correspondences therefore fit best at one pose: that of the earlier scan. The information of
+this false minimum grows with the number of points, so no prior outweighs it. The solver therefore keeps the predicted
+translation in directions in which hardly any surface has its normal. This is the solution remapping of Zhang, Kaess and
+Singh, "On degeneracy of optimization-based state estimation problems" (ICRA 2016). It uses the normals instead of the
+Hessian, which depends on the sampling.
 """
 
 import math
@@ -119,7 +116,6 @@ def without_shifts(free: Array, unobserved: Array) -> Array:
     return np.asarray(vector[:, singular_value > 1e-9 * singular_value[0]])
 
 
-ERRORS = {"point": kernels.POINT, "plane": kernels.PLANE, "gicp": kernels.GICP}
 FREE = {"xyz": np.eye(6)[:, 3:], "xyz_yaw": np.eye(6)[:, 2:].copy(), "se3": np.eye(6)}
 """Degrees of freedom → columns ``(6, k)`` that span the free twists ξ = (ω, v). Yaw is about the z axis."""
 EIGENVALUE_RATIO_MIN = 1e-10
@@ -189,6 +185,7 @@ def align(
     mean, length_m = mean_and_length(source)
     metric = np.array([length_m] * 3 + [1.0] * 3)
     error, free, limit = options.error, options.free, float(options.max_correspondence_m)
+    kind = int(kernels.PairError[error.upper()])
     search, basis, inliers_min = target.search(source, limit), scaled_basis(free, metric), pairs_needed(error, free)
     T = np.array(T_init, dtype=np.float64, order="C")
     best: tuple[Array, Normal, IntArray] | None = None
@@ -198,7 +195,7 @@ def align(
         """Normal equations at T; ``R (3, 3)`` is the rotation of the source covariances."""
         H, b, centre = np.zeros((6, 6)), np.zeros(6), T[:3, :3] @ mean + T[:3, 3]
         loss, inliers, squared_m2 = kernels.linearise(
-            ERRORS[error], source, covariance, target.point, target.normal, target.covariance, match, T, R, centre,
+            kind, source, covariance, target.point, target.normal, target.covariance, match, T, R, centre,
             limit, float(options.robust_scale), H, b,
         )  # fmt: skip
         for term in terms:

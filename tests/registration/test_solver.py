@@ -39,7 +39,8 @@ class Problem:
         H, b = np.zeros((6, 6)), np.zeros(6)
         t = self.target
         answer = kernels.linearise(
-            solver.ERRORS[self.error], self.source, self.C_source, t.point, t.normal, t.covariance, self.match, T,
+            int(kernels.PairError[self.error.upper()]), self.source, self.C_source,
+            t.point, t.normal, t.covariance, self.match, T,
             self.T[:3, :3], self.centre, math.inf, self.scale, H, b,
         )  # fmt: skip
         return *answer, H, b

@@ -1,11 +1,8 @@
-"""Poses as variables of an adjustment (`fusion.adjustment.problem`), and the factors of the drifting prior on them.
+"""Factors of an adjustment (`adjustment.problem`), as normal equations: those of the drifting prior, and of the points.
 
-The step of a pose is that of `core.geometry`, in the world frame, with six numbers or the last four.
-
-The prior drifts in position and yaw as a random walk. Its roll and pitch are exact by default. With a standard
-deviation ``tilt_sigma_rad``, their errors are a first-order Gauss-Markov process, like those of an attitude filter.
-
-Factors of the points of an adjustment (`adjustment.problem`), as normal equations.
+The step of a pose is that of `core.geometry`, in the world frame, with six numbers or the last four. The prior drifts
+in position and yaw as a random walk. Its roll and pitch are exact by default. With a standard deviation
+``tilt_sigma_rad``, their errors are a first-order Gauss-Markov process, like those of an attitude filter.
 
 The residual of a point is its distance to the front face of its bar (`sections.shapes`). It depends on the pose of its
 scan, on position, direction, rotation and flange of the bar, and on the thickness that all bars share.

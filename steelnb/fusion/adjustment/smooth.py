@@ -1,17 +1,15 @@
-"""The adjustment of a flight: find and fit its bars, then take the steps of `adjustment.solver` in stages.
+"""Smoothing of a whole flight: find bars at the corrected poses, adjust poses and bars together, and repeat (`smooth`).
 
-Covariances of the poses and bars of a smoothed flight, from the equations of `adjustment.solver`.
+The second round starts from better poses, so it finds more bars and fits their sections more accurately. One round is
+`adjust`: find and fit the bars, then take the steps of `adjustment.solver` in stages.
 
-Only the diagonal blocks of the inverse are needed. Those of the chain of poses follow from its factor. The bars add
-A⁻¹B S⁻¹ (A⁻¹B)ᵀ with their Schur complement S. This is exact.
+Covariances of the poses and bars follow from the equations of the last step (`marginals`). Only the diagonal blocks of
+the inverse are needed. Those of the chain of poses follow from its factor. The bars add A⁻¹B S⁻¹ (A⁻¹B)ᵀ with their
+Schur complement S. This is exact.
 
 The points of one bar in one scan have correlated errors: the fitted section is inexact, mixed pixels lie at edges, and
 only the near side is visible. So each scan observes a bar displaced across by an unknown vector, which is marginalised.
 The information of a bar in a scan thus saturates with the number of pixels. Drift enters by the prior's increments.
-
-Smoothing of a whole flight: find bars at the corrected poses, adjust poses and bars together, and repeat.
-
-The second round starts from better poses, so it finds more bars and fits their sections more accurately.
 """
 
 from collections.abc import Iterator

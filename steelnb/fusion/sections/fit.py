@@ -1,14 +1,14 @@
-"""Least-squares fit of an equal-leg angle section to the points of a bar: flange, rotation, position and slope of its
-axis, the line through the centroids of its sections.
+"""The section of each bar: an angle, a round tube or a plate, whichever explains the depths of its points
+(`fit_sections`).
 
-The width of the outline and the depth of the near faces are fitted together, to the histograms of `sections.histogram`.
-A grid search over flanges and rotations, which looks faces up in a table, is followed by Gauss-Newton.
+An angle section (`fit_section`) has a flange, a rotation, and the position and slope of its axis, the line through the
+centroids of its sections. The width of its outline and the depth of its near faces are fitted together, to the
+histograms of `sections.histogram`. A grid search over flanges and rotations, which looks faces up in a table, is
+followed by Gauss-Newton.
 
-The section of each bar: an angle, a round tube or a plate, whichever explains the depths of its points.
-
-An angle section is fitted to depths and to the edges of its outline (`sections.fit`). Its two flanges can follow
-an arc, and explain the depths of a plate about as well as a plane does. So the shapes are compared by depths alone, to
-which the angle section is fitted again. A tube, or a plate seen from few directions, must explain them clearly better.
+Its two flanges can follow an arc, and explain the depths of a plate about as well as a plane does. So the shapes are
+compared by depths alone, to which the angle section is fitted again. A tube, or a plate seen from few directions, must
+explain them clearly better.
 
 At the position y beside its axis, the near face of a circle of radius r has the depth √(r² − y²). Depths alone thus
 determine radius and axis, even if all are seen from one side.
