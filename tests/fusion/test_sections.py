@@ -32,7 +32,7 @@ def test_the_search_takes_the_same_steps_with_tables_as_with_outlines(turn, flan
     total = cells[:, 2].sum()
     move = np.linalg.solve(normal[:2, :2] + 1e-3 * total * np.eye(2), normal[:2, 4]).clip(-0.03, 0.03)
     found = np.zeros(2)
-    cost = fit._settle_by_table(cells, rows, fit.profiles(THICKNESS), flange, turn, found, 1)
+    cost = fit._gauss_newton_by_table(cells, rows, fit.profiles(THICKNESS), flange, turn, found, 1)
     assert cost == pytest.approx(exact, rel=0.02)
     assert np.linalg.norm(move) > 0.02 * flange
     assert found == pytest.approx(move, abs=0.005 * flange)

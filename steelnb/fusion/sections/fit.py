@@ -88,8 +88,8 @@ def robust(residual, weight):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def _settle_by_table(cells, rows, profile, flange, turn, state, steps):  # type: ignore[no-untyped-def]
-    """`settle` without slopes, at the rotation number ``turn``, with faces from the table `profiles`; in scalars."""
+def _gauss_newton_by_table(cells, rows, profile, flange, turn, state, steps):  # type: ignore[no-untyped-def]
+    """`gauss_newton` without slopes, at the rotation number ``turn``, faces from the table `profiles`; in scalars."""
     face, side, cost = profile.face, profile.side, 0.0
     total = cells[:, 2].sum()
     for _ in range(steps):
@@ -191,7 +191,7 @@ def _add_residual(normal, jacobian, residual, weight):  # type: ignore[no-untype
 
 
 @njit(cache=True)
-def settle(cells, rows, corner, state, normal, total, steps):  # type: ignore[no-untyped-def]
+def gauss_newton(cells, rows, corner, state, normal, total, steps):  # type: ignore[no-untyped-def]
     """Damped Gauss-Newton from ``state (D,)``, in place, at most 3 cm or 0.03 a step. Returns the cost before the last.
 
     ``total``: weight of all points. The ``corner`` of a round section follows its radius.
@@ -223,13 +223,13 @@ def fit_section(cells, merged, rows, profile, centre, slope):  # type: ignore[no
     for n in range(len(tried)):
         f, k = n // TURNS, n % TURNS
         state[0], state[1] = mean_u, mean_v
-        cost = _settle_by_table(merged, rows, profile, FLANGES_M[f], k, state, 4)
+        cost = _gauss_newton_by_table(merged, rows, profile, FLANGES_M[f], k, state, 4)
         tried[n, 0], tried[n, 1], tried[n, 2] = cost, FLANGES_M[f], 2.0 * math.pi * k / TURNS
         tried[n, 3:] = state[:2]
     best = np.argmin(tried[:, 0])
     low, flange, turn = np.inf, tried[best, 1], tried[best, 2]
     state[:2] = tried[best, 3:]
-    settled = state.copy()
+    best_state = state.copy()
     for size in (0.12, 0.06, 0.03):  # relative to the flange, and radians
         flange0, turn0 = flange, turn
         for i in range(-1, 2):
@@ -237,21 +237,21 @@ def fit_section(cells, merged, rows, profile, centre, slope):  # type: ignore[no
                 if i == j == 0 and low < np.inf:  # the best of the previous round
                     continue
                 angle_outline(turn0 + j * size, flange0 * (1.0 + i * size), profile.thickness, corner)
-                state[:] = settled
-                cost = settle(cells, rows, corner, state, normal, inside, 2 if low < np.inf else 4)
+                state[:] = best_state
+                cost = gauss_newton(cells, rows, corner, state, normal, inside, 2 if low < np.inf else 4)
                 if cost < low:
                     low, flange, turn = cost, flange0 * (1.0 + i * size), turn0 + j * size
-                    settled[:] = state
+                    best_state[:] = state
     # Mean and spread of all fits in the search, weighted by likelihood.
     weight = np.exp(-0.5 * (tried[:, 0] - tried[:, 0].min()) / total / (TELL_APART_M * TELL_APART_M))
     u, v = (weight * tried[:, 3]).sum() / weight.sum(), (weight * tried[:, 4]).sum() / weight.sum()
     square = (weight * (tried[:, 3] ** 2 + tried[:, 4] ** 2)).sum() / weight.sum()
     variance = max(square - u * u - v * v, 0.0)
-    centre[0], centre[1] = settled[0] + u - tried[best, 3], settled[1] + v - tried[best, 4]
-    slope[0], slope[1] = settled[2], settled[3]
+    centre[0], centre[1] = best_state[0] + u - tried[best, 3], best_state[1] + v - tried[best, 4]
+    slope[0], slope[1] = best_state[2], best_state[3]
     # Standard deviation of the direction, from the actual residuals.
     angle_outline(turn, flange, profile.thickness, corner)
-    cost = section_step(cells, rows, corner, settled, normal)
+    cost = section_step(cells, rows, corner, best_state, normal)
     inverse = np.linalg.inv(normal[:, :4] + 1e-6 * total * np.eye(4))
     tilt = math.sqrt((inverse[2, 2] + inverse[3, 3]) * cost / (len(cells) + 2 * len(rows)))
     return flange, turn, math.sqrt(variance + low / total / max(len(cells), 1)), tilt, low
@@ -437,12 +437,12 @@ def fit_circle(cells, merged, state, normal):  # type: ignore[no-untyped-def]
     for k in range(len(RADII_M)):
         state[0], state[1], state[2], state[3] = u, v, 0.0, 0.0
         corner[0, 0] = state[4] = RADII_M[k]
-        settle(merged, no_edges, corner, state, normal, total, SEARCH_STEPS)
+        gauss_newton(merged, no_edges, corner, state, normal, total, SEARCH_STEPS)
         cost = section_step(merged, no_edges, corner, state, normal)
         if cost < low:
             low = cost
             start[:] = state
     state[:] = start
     corner[0, 0] = state[4]
-    settle(cells, no_edges, corner, state, normal, total, CIRCLE_STEPS)
+    gauss_newton(cells, no_edges, corner, state, normal, total, CIRCLE_STEPS)
     return section_step(cells, no_edges, corner, state, normal)
