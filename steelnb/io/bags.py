@@ -242,7 +242,7 @@ class _Headers:
             rows, is_static = self._of(kind, parent, child, values=7), kind == "tf_static"
             rows = rows[-1:] if is_static else rows  # the last one holds, whatever its stamp
             try:
-                path = trajectory_of(f"{parent} → {child}", _by_stamp(rows), self.skipped)
+                path = trajectory_of(f"{parent} → {child}", _by_stamp(rows), Counter())  # repeated ones are usual
             except InputError:
                 self.skipped[f"transforms {parent} → {child}, none of them valid,"] += len(rows)
                 continue
