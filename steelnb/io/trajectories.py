@@ -135,10 +135,10 @@ def _stamps_beside(path: Path, options: RecordingOptions, count: int) -> Array:
 def read_stamps(path: Path) -> Array:
     """Stamps ``(N,)`` in seconds of a file with one a line. Raises `InputError`."""
     with reading(path, "a file of stamps"):
-        table = read_table(path)
-        if table.width != 1:
-            raise ValueError(f"{table.width} numbers a line; expected one, the stamp in seconds")
-        return _seconds(table.values([0])[:, 0], table.units[0] if table.units else "", "stamps")
+        values = np.loadtxt(path, ndmin=2, encoding="utf-8-sig")
+        if values.shape[1] != 1:
+            raise ValueError(f"{values.shape[1]} numbers a line; expected one, the stamp in seconds")
+        return _seconds(values[:, 0], "", "stamps")
 
 
 def named_file(folder: Path, name: str) -> Path:

@@ -9,7 +9,16 @@ from scipy.spatial.transform import Rotation
 
 from steelnb.core.errors import InputError
 from steelnb.core.types import Trajectory
-from steelnb.io.trajectories import NOT_RISING, NOT_UNIT, TUM, interpolate, read_trajectory, trajectory_of, write_tum
+from steelnb.io.trajectories import (
+    NOT_RISING,
+    NOT_UNIT,
+    TUM,
+    interpolate,
+    read_stamps,
+    read_trajectory,
+    trajectory_of,
+    write_tum,
+)
 from tests.io.samples import T_of, poses
 
 POSES = poses(12, 0.1, 1.7e9)
@@ -203,3 +212,11 @@ def test_poses_are_interpolated_across_two_intervals_within_bounds(step_s: float
         gap = Trajectory(late, line.T_world_drone)
         if np.median(np.diff(late)) == step_s:
             assert interpolate(gap, np.array([late[4] + gap_s / 2]))[1].tolist() == [is_covered]
+
+
+def test_stamps_in_a_file_may_be_whole_numbers(tmp_path: Path) -> None:
+    (tmp_path / "stamps.txt").write_text("7\n8\n9\n")
+    np.testing.assert_array_equal(read_stamps(tmp_path / "stamps.txt"), [7, 8, 9])
+    (tmp_path / "stamps.txt").write_text("7 1\n8 2\n")
+    with pytest.raises(InputError, match="one"):
+        read_stamps(tmp_path / "stamps.txt")

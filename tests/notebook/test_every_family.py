@@ -2,8 +2,9 @@
 05 does with its methods, 02 and 03 do as well."""
 
 import json
+import sys
+import types
 from pathlib import Path
-from typing import Any
 
 import matplotlib.pyplot as plt
 import pandas as pd
@@ -36,12 +37,15 @@ def flights(tmp_path_factory):
         ),
     ],
 )
-def test_a_method_of_each_family_works_in(notebook: str, given: dict, flights: None, tmp_path: Path) -> None:
-    names: dict[str, Any] = {}
+def test_a_method_of_each_family_works_in(
+    notebook: str, given: dict, flights: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "__main__", main := types.ModuleType("__main__"))  # as in a notebook's process
+    names = vars(main)
     for cell in json.loads((NOTEBOOKS / f"{notebook}.ipynb").read_text(encoding="utf-8"))["cells"]:
         if cell["cell_type"] == "code":
             exec("".join(cell["source"]), names)
             if cell["metadata"].get("tags") == ["parameters"]:
-                names |= {**SHORT, **given, "results_dir": str(tmp_path)}
+                names.update({**SHORT, **given, "results_dir": str(tmp_path)})
     plt.close("all")
     assert {*ONE_EACH} <= {*pd.read_csv(tmp_path / "table.csv")["method"]} <= {*ONE_EACH, "none"}
