@@ -17,7 +17,7 @@ from steelnb.core.errors import InputError
 from steelnb.core.files import damaged, display_name
 from steelnb.core.types import Array, Imu, IntArray, Trajectory
 from steelnb.io import messages as ros
-from steelnb.io.folders import Recorded
+from steelnb.io.folders import CLOUDS, Recorded
 from steelnb.io.trajectories import read_trajectory, trajectory_of
 from steelnb.io.transforms import ScanFrames, Tree, scan_frames, turned_up, up_axes
 from steelnb.settings.recording import RecordingOptions
@@ -32,7 +32,7 @@ def is_bag(path: Path) -> bool:
     if not os.path.isdir(path):  # is_dir raises for a name that is too long
         return path.suffix.lower() in SUFFIXES
     held = {file.suffix.lower() for file in path.glob("[!.]*") if file.is_file()}
-    return (path / "metadata.yaml").is_file() or bool(held & {*SUFFIXES} and not held & {".ply", ".pcd", ".npy"})
+    return (path / "metadata.yaml").is_file() or bool(held & {*SUFFIXES} and not held & CLOUDS)
 
 
 class Raw(NamedTuple):

@@ -21,6 +21,8 @@ NS_DIGITS = range(16, 20)
 """Numbers of so many digits in names are nanoseconds: since 2001, and before 2286."""
 TRAJECTORIES = (".tum", ".txt", ".csv")
 """Suffixes of files that may be trajectories."""
+CLOUDS = READERS.keys() - set(TRAJECTORIES)
+"""Suffixes of files that are clouds, and nothing else."""
 BESIDE = ("groundtruth", "times", "calib")
 """Files of these names beside a trajectory are none: the truth, and those of KITTI."""
 
@@ -85,7 +87,7 @@ def _clouds(folder: Path) -> tuple[list[Path], list[Path]]:
     Text files are scans if there are no others. Raises `InputError`.
     """
     held = [file for file in sorted(folder.glob("[!.]*")) if file.is_file() and file.suffix.lower() in READERS]
-    files = [file for file in held if file.suffix.lower() not in TRAJECTORIES]
+    files = [file for file in held if file.suffix.lower() in CLOUDS]
     files = files or [file for file in held if NUMBER.search(file.stem)]
     if not files:
         inner = [each.name for each in sorted(folder.iterdir()) if each.is_dir() and not each.name.startswith(".")]

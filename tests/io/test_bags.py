@@ -10,6 +10,8 @@ from hypothesis import strategies as st
 from steelnb.core.errors import InputError
 from steelnb.core.types import Flight
 from steelnb.io import read_flight, read_truth, write_flight
+from steelnb.io.bags import is_bag
+from steelnb.io.clouds import READERS
 from steelnb.io.messages import ODOMETRY, POSE_COVARIANCE, POSE_STAMPED, TRANSFORM
 from steelnb.io.trajectories import write_tum
 from steelnb.settings import RecordingOptions
@@ -162,6 +164,16 @@ def test_parts_of_a_recording_are_read_in_the_order_of_their_messages(tmp_path: 
         part.write()
         (folder / f"{name}.rows").rename(tmp_path / f"{name}.rows")
     same(read_flight(folder), read_flight(whole.write()))
+
+
+@pytest.mark.parametrize("suffix", [*READERS, ".LAS", ".tum", ".yaml"])
+def test_a_folder_with_clouds_and_a_bag_is_one_of_clouds(tmp_path: Path, suffix: str) -> None:
+    (tmp_path / "flight.mcap").touch()
+    assert is_bag(tmp_path)
+    (tmp_path / f"000000{suffix}").touch()
+    assert is_bag(tmp_path) == (suffix in (".txt", ".csv", ".tum", ".yaml")), "poses and notes are no clouds"
+    (tmp_path / "metadata.yaml").touch()
+    assert is_bag(tmp_path)
 
 
 @pytest.mark.parametrize("suffix", [".bag", ".mcap", ".db3"])
