@@ -115,8 +115,8 @@ def run(
     in a recording.toml beside them, too.
     """
     with progress() as (on_stage, on_share):
-        from steelnb.io import read_flight, read_trajectory
-        from steelnb.io.recordings import folder_of
+        from steelnb.io import read_trajectory
+        from steelnb.io.recordings import folder_of, open_flight
         from steelnb.odometry import load_odometry
         from steelnb.recording.evaluate import truth_of
         from steelnb.recording.run import run_recording
@@ -136,14 +136,14 @@ def run(
         options: dict[str, Any] = {"overrides": _overrides(changed, also) | ({"smooth": True} if smooth else {})}
         options |= {
             "range_max_m": stated.range,
-            "method": odometry if own is None else "best",
-        }  # preprocessing of `best`
+            "method": odometry if own is None else "best",  # preprocessing of `best`
+        }
         recording_settings(**options)  # raises for bad options before a file is opened
         target = output or Path(f"{recording.resolve().stem}_run")
         check_folder(target, force, recording)
         other = (display_name(estimate), read_trajectory(estimate)) if estimate else None
         on_stage(f"opening {recording.name}")
-        flight = read_flight(recording, stated)
+        flight = open_flight(recording, stated)
         true, scene = truth_of(flight, recording, stated), Scene.of(flight)
         settings, structure = recording_settings(scene=scene, **options)
         say("\n".join((*opened_lines(flight, scene), settings_line(settings))))

@@ -14,6 +14,7 @@ import trimesh
 import steelnb
 from steelnb import cli, settings
 from steelnb.io import read_flight, read_trajectory, read_truth, write_tum
+from steelnb.settings import recording
 from tests.io.samples import poses
 from tests.lattice import lattice, scanned
 
@@ -143,6 +144,16 @@ def test_bad_input_is_one_line_exit_2_and_writes_nothing(
     assert words in shown
     assert shown.count("\n") == 1
     assert sorted(here.rglob("*")) == before
+
+
+def test_options_beside_a_recording_are_read_once(here: Path, tmp_path: Path, monkeypatch, capfd) -> None:
+    shutil.copy(here / "a.mcap", tmp_path)
+    (tmp_path / "recording.toml").write_text('truth = "late.tum"\n')
+    times, read_toml = list[Path](), recording.read_toml
+    monkeypatch.setattr(recording, "read_toml", lambda path, form: times.append(path) or read_toml(path, form))
+    assert cli.main(["run", str(tmp_path / "a.mcap")]) == 2
+    assert "late.tum: its poses at " in capfd.readouterr().err
+    assert times == [tmp_path / "recording.toml"]
 
 
 def test_a_flight_is_recorded_and_corrected(here: Path, corrected: Path) -> None:

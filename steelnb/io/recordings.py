@@ -41,9 +41,13 @@ def read_flight(
     `InputError`, also if no scan can be read.
     """
     path, T_stated = Path(path), None if T_drone_sensor is None else checked_pose(T_drone_sensor, "T_drone_sensor")
+    return open_flight(path, _stated(path, options, stated), T_stated)
+
+
+def open_flight(path: Path, options: RecordingOptions, T_drone_sensor: Array | None = None) -> Flight:
+    """`read_flight` with all ``options``, those of ``recording.toml`` included. Raises `InputError`."""
     check_exists(path, "a recording")
-    options = _stated(path, options, stated)
-    T_stated = options.T_drone_sensor if T_stated is None else T_stated
+    T_stated = options.T_drone_sensor if T_drone_sensor is None else T_drone_sensor
     if is_bag(path):
         opened = open_bag(path, options, T_stated)
     elif path.is_dir():
@@ -104,8 +108,11 @@ def read_truth(path: Path | str, options: RecordingOptions | None = None, **stat
     ``truth`` among the options names a trajectory file; by default it is ``STEM.truth.tum`` beside the recording, or
     ``groundtruth.tum`` in a folder of clouds. Raises `InputError`.
     """
-    path = Path(path)
-    options = _stated(path, options, stated)
+    return find_truth(Path(path), _stated(Path(path), options, stated))
+
+
+def find_truth(path: Path, options: RecordingOptions) -> Trajectory | None:
+    """`read_truth` with all ``options``, those of ``recording.toml`` included. Raises `InputError`."""
     if options.truth is not None:
         truth = read_trajectory(named_file(folder_of(path), options.truth), options)
         return turned_up(truth, "", True) if options.world == "ned" else truth

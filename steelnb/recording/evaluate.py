@@ -13,7 +13,7 @@ from steelnb.core.errors import InputError
 from steelnb.core.estimates import Estimate
 from steelnb.core.types import Flight, Segments, Trajectory
 from steelnb.fusion.structure import Structure
-from steelnb.io import read_truth
+from steelnb.io.recordings import find_truth
 from steelnb.io.trajectories import interpolate
 from steelnb.metrics import score_trajectory
 from steelnb.settings import RecordingOptions
@@ -35,9 +35,9 @@ class References(NamedTuple):
 
 
 def truth_of(flight: Flight, recording: Path | str, options: RecordingOptions) -> Trajectory | None:
-    """The truth of a recording, as `read_truth` finds it. Raises `InputError` if the file that the user names has fewer
+    """The truth of a recording, as `find_truth` finds it. Raises `InputError` if the file that the user names has fewer
     than two of the scans."""
-    truth = read_truth(recording, options)
+    truth = find_truth(Path(recording), options)
     if options.truth is not None and truth is not None and at_scans(flight.prior, truth, options.truth)[0] is None:
         spans = [f"{each.stamp_s[0]:.3f} to {each.stamp_s[-1]:.3f} s" for each in (truth, flight.prior)]
         raise InputError(f"{options.truth}: its poses at {spans[0]} match fewer than two scans, at {spans[1]}")
