@@ -75,7 +75,7 @@ def open_folder(path: Path, options: RecordingOptions) -> Recorded:
     facts = {
         "scans": f"{len(files)} files {files[0].suffix}{unit}, {source}{beside}",
         "poses": display_name(trajectory),
-        "mount": "identity: the poses are the sensor's (default; --mount states another)",
+        "mount": "identity, as the poses are the sensor's: default, --mount states another",
     }
     walk: Walk = lambda number: (partial(read_points, files[k], of_clouds) for k in number.tolist())  # noqa: E731
     return Recorded(stamp_s, walk, prior, np.eye(4), facts, None, skipped)

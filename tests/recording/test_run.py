@@ -17,9 +17,10 @@ from steelnb.io import read_flight, read_trajectory, read_truth, write_flight, w
 from steelnb.io.clouds import read_points
 from steelnb.recording.evaluate import TIMES, at_scans, truth_of
 from steelnb.recording.run import FILES, run_recording
-from steelnb.recording.settings import recording_settings
+from steelnb.recording.settings import Scene, recording_settings
+from steelnb.recording.summary import opened_lines
 from steelnb.settings import ExperimentSettings, RecordingOptions
-from tests.io.samples import Bagged, poses
+from tests.io.samples import POINTS, Bagged, poses
 
 SCANS = 40
 
@@ -191,6 +192,19 @@ def test_a_trajectory_in_another_frame_is_moved_onto_the_first_pose():
     assert part is not None
     assert len(part) == 10
     assert "the truth covers 10 of 20 scans" in notes[0]
+
+
+def test_no_line_on_what_was_read_has_brackets_in_brackets(tmp_path):
+    bag = Bagged(tmp_path / "a.mcap").clouds().odometry().tf("base_link", "tof", np.eye(4)).write()
+    folder = tmp_path / "clouds"
+    folder.mkdir()
+    for k in range(5):
+        np.save(folder / f"{k}.npy", POINTS)
+    write_tum(folder / "poses.tum", poses(5))
+    for flight in (read_flight(bag), read_flight(folder), read_flight(folder, mount=(0, 0, 1, 0, 0, 0))):
+        lines = opened_lines(flight, Scene.of(flight))
+        assert any(line.startswith("mount") for line in lines)
+        assert not any(re.search(r"\([^)]*\(", line) for line in lines)
 
 
 def test_a_truth_of_another_time_is_refused_if_it_was_named(tmp_path):
