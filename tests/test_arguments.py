@@ -12,6 +12,7 @@ from steelnb.core.estimates import OdometryStep
 from steelnb.core.kernels import compiling
 from steelnb.core.types import Flight, Scan, Segments, Trajectory
 from steelnb.hough.alternatives import find_bars_by
+from tests.refusals import refused_by_name
 
 CLOUD = np.random.default_rng(0).uniform(-1, 1, (60, 3))
 POSES = np.tile(np.eye(4), (3, 1, 1))
@@ -98,12 +99,7 @@ REFUSED = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("name", REFUSED)
-def test_values_that_are_out_of_range_or_of_another_shape_are_refused_by_name(name):
-    for call in REFUSED[name]:
-        with pytest.raises(InputError, match=rf"\b{name}\b") as refusal:
-            call()
-        assert "\n" not in str(refusal.value)
+test_values_that_are_out_of_range_or_of_another_shape_are_refused_by_name = refused_by_name(REFUSED)
 
 
 def test_an_own_class_needs_a_known_constructor():

@@ -27,6 +27,7 @@ from steelnb.fusion.structure import Structure
 from steelnb.odometry import SegmentOdometry
 from steelnb.points import VoxelMap, voxel_grid
 from steelnb.simulation import build_tower
+from tests.refusals import refused_by_name
 
 K = 5
 STAMP_S, POSES, CLOUD = np.arange(K) + 1.7e9, np.tile(np.eye(4), (K, 1, 1)), np.ones((7, 3))
@@ -119,12 +120,7 @@ REFUSED = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("name", REFUSED)
-def test_shapes_ranges_and_values_that_are_not_finite_are_refused_by_the_name_of_the_field(name):
-    for make in REFUSED[name]:
-        with pytest.raises(InputError, match=f"^{name}\\b") as refusal:
-            make()
-        assert "\n" not in str(refusal.value)
+test_shapes_ranges_and_values_that_are_not_finite_are_refused_by_the_name_of_the_field = refused_by_name(REFUSED)
 
 
 def test_lists_single_precision_and_rounded_rotations_are_accepted_as_float64():
