@@ -27,6 +27,9 @@ IDENTITY = ["0", "0", "0", "1", "0", "0", "0"]
 """VIEWPOINT of a PCD file without one: position, quaternion wxyz."""
 FEET, DEGREES = (9002, 9003), 2
 """GeoTIFF's codes of the foot and the US survey foot, and of a system in longitude and latitude."""
+LAS_RECORDS_AT, LAS_RECORD = 100, 54
+"""Byte of a LAS file's header with the number of its variable length records, and their minimum size in bytes (LAS 1.4
+R15, 2.4 and 2.5)."""
 NAMED = "expected x, y and z, named by --columns t,x,y,z (in order, _ for one to skip)"
 UNIT = re.compile(r"(.*?)(?: *[\[(](\D*)[\])]|_(s|ms|us|ns|m|mm|cm))?")
 """The name of a column and its unit, in brackets or after an underscore."""
@@ -182,7 +185,13 @@ def _read_las(path: Path, options: RecordingOptions) -> Read:
     """Points that the file withholds are NaN."""
     import laspy
 
-    with laspy.open(path) as file:
+    with path.open("rb") as file:
+        head = file.read(LAS_RECORDS_AT + 4)
+    records = int.from_bytes(head[LAS_RECORDS_AT:], "little")
+    if head.startswith(b"LASF") and records * LAS_RECORD > path.stat().st_size:  # laspy would try to read them all
+        raise ValueError(f"a header that says {records} records; expected at least {LAS_RECORD} bytes of each")
+    # The parallel reader ends the process if a damaged file says that its chunks are huge.
+    with laspy.open(path, laz_backend=laspy.LazBackend.Lazrs) as file:
         header, parts = file.header, []
         if options.unit is None:
             _check_metres(header)

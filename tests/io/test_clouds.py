@@ -3,6 +3,7 @@
 import io
 import os
 import struct
+import time
 from pathlib import Path
 from typing import Any
 
@@ -182,6 +183,25 @@ def test_withheld_points_of_las_are_no_returns(tmp_path: Path) -> None:
     las.withheld[:3] = 1
     las.write(path)
     assert np.isnan(read_points(path, NONE)).any(axis=1).tolist() == [True] * 3 + [False] * 37
+
+
+@pytest.mark.parametrize("name", ["a.las", "a.laz"])
+def test_a_header_of_las_with_more_records_than_its_file_holds_is_refused_at_once(name: str, tmp_path: Path) -> None:
+    whole = bytearray(save(tmp_path / name).read_bytes())
+    whole[103] = 255  # the number of records: 4 billion, which took minutes
+    (tmp_path / name).write_bytes(whole)
+    began_s = time.perf_counter()
+    with pytest.raises(InputError, match="records"):
+        read_points(tmp_path / name, NONE)
+    assert time.perf_counter() - began_s < 5
+
+
+def test_a_chunk_of_laz_that_is_said_to_be_huge_does_not_end_the_process(tmp_path: Path) -> None:
+    path = save(tmp_path / "a.laz")
+    whole, chunk = bytearray(path.read_bytes()), struct.pack("<I", 50_000)
+    whole[whole.index(chunk) + 3] = 127
+    path.write_bytes(whole)
+    np.testing.assert_allclose(read_points(path, NONE), POINTS)
 
 
 WKT = 'PROJCS["a",GEOGCS["b",UNIT["degree",0.0174532925]],UNIT["US survey foot",0.304800609601219]]'
