@@ -77,6 +77,7 @@ def here(recorded: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 TWICE = "--set", "map_voxel_m=0.2", "--set", "odometry.map_voxel_m=0.3"
 BAD = (
     (["run", "nothing.bag"], "nothing.bag: does not exist; expected a recording"),
+    (["run", "long" * 99], "long: does not exist; expected a recording"),
     (["segment", "-o", ""], "an empty argument; expected a name or a value"),
     (["run", " "], "an empty argument; expected a name or a value"),
     (["study", "--output="], "an empty argument; expected a name or a value"),

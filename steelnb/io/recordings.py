@@ -128,7 +128,7 @@ def _stated(path: Path, options: RecordingOptions | None, stated: dict[str, Any]
 
 def folder_of(path: Path) -> Path:
     """The folder in which ``recording.toml`` of a recording is: the recording itself, or that of its file."""
-    return path if path.is_dir() else path.parent
+    return path if os.path.isdir(path) else path.parent  # is_dir raises for a name that is too long
 
 
 def truth_path(path: Path) -> Path:
