@@ -245,12 +245,11 @@ def _read_npy(path: Path, options: RecordingOptions) -> Read:
 
 def _read_text(path: Path, options: RecordingOptions) -> Read:
     table = read_table(path, options.columns)
-    names = [name.lower() for name in table.names]
-    if not names and table.width == 3:
+    if not table.names and table.width == 3:
         return Read(table.values([0, 1, 2]), "text, three columns")
-    if not names:
+    if not table.names:
         raise ValueError(f"{table.width} columns without names; {NAMED}")
-    axes = _axes_of(names)
+    axes = _axes_of([name.lower() for name in table.names])
     units = {table.units[k] for k in axes} - {""}
     if len(units) > 1:
         raise ValueError(f"x, y and z in {' and '.join(sorted(units))}; expected one unit")
@@ -268,16 +267,16 @@ def _axes_of(columns: Sequence[str]) -> list[int]:
 
 class Table(NamedTuple):
     """A text file: the lines of numbers from ``data`` on, with ``width`` fields each, divided by ``separator`` (a blank
-    stands for white space); ``names`` of the columns and their ``units`` ("" if not given), both empty without names;
-    ``first``: number of the first line of numbers in the file, and ``first_cells`` its fields."""
+    stands for white space); ``first``: number of the first line of numbers in the file, and ``first_cells`` its fields;
+    ``names`` of the columns and their ``units`` ("" if not given), both empty without names."""
 
     data: bytes
     width: int
     separator: str
-    names: tuple[str, ...]
-    units: tuple[str, ...]
     first: int
     first_cells: list[str]
+    names: Sequence[str] = ()
+    units: Sequence[str] = ()
 
     def values(self, wanted: Sequence[int]) -> Array:
         """Columns ``wanted (C,)`` of all lines, ``(N, C)``. Raises ValueError for a line of another form."""
@@ -306,29 +305,30 @@ def read_table(path: Path, columns: Sequence[str] = ()) -> Table:
             before = line.lstrip("#/ \t") if is_comment or not before else before
         at += len(raw)
     else:
-        raise ValueError("no lines of numbers with decimal points")
+        start = text.strip().partition(b"\n")[0].decode("utf-8", "replace")
+        found = f"its first line is {shown(start)}" if start else "it is empty"
+        raise ValueError(f"no lines of numbers with decimal points; {found}")
     data = text[at:]
     if declared is not None and declared != (lines := sum(1 for each in data.splitlines() if each.strip())):
         raise ValueError(f"{lines} lines of numbers; expected {declared}, as its first line says")
+    table = Table(data, len(cells), separator, first, cells)
     if columns:
         if len(columns) != len(cells):
             raise ValueError(f"{len(cells)} columns; expected {len(columns)}, as --columns names")
-        return Table(data, len(cells), separator, tuple(columns), ("",) * len(columns), first, cells)
+        return table._replace(names=columns, units=[""] * len(columns))
     header, _ = _cells(re.sub(r"\s+(?=[\[(])", "", before))
-    found = [UNIT.fullmatch(name.strip('" \t')) for name in header]
-    if len(header) != len(cells) or not all(found):
-        if before and not any(text[:at].splitlines()[-1].lstrip().startswith(mark) for mark in (b"#", b"//")):
-            raise ValueError(f"{len(header)} names for {len(cells)} columns: {shown(before)}; expected as many")
-        return Table(data, len(cells), separator, (), (), first, cells)
-    names, units = zip(*((each[1], each[2] or each[3] or "") for each in found if each), strict=True)
-    return Table(data, len(cells), separator, names, units, first, cells)
+    named = [match for name in header if (match := UNIT.fullmatch(name.strip('" \t')))]
+    if len(named) == len(cells):
+        return table._replace(names=[each[1] for each in named], units=[each[2] or each[3] or "" for each in named])
+    if before and not text[:at].splitlines()[-1].lstrip().startswith((b"#", b"//")):
+        raise ValueError(f"{len(named)} names for {len(cells)} columns: {shown(before)}; expected as many")
+    return table
 
 
-def _cells(line: str) -> tuple[list[str], str]:
-    """The fields of a line, and what divides them."""
-    separators = [each for each in ";\t," if each in line]
-    separator = separators[0] if separators else " "
-    return [cell.strip() for cell in (line.split(separator) if separators else line.split())], separator
+def _cells(line: str, separator: str = "") -> tuple[list[str], str]:
+    """The fields of a line, and what divides them, if not given."""
+    separator = separator or next((each for each in ";\t," if each in line), " ")
+    return [cell.strip() for cell in line.split(None if separator == " " else separator)], separator
 
 
 def _is_number(cell: str) -> bool:
@@ -355,7 +355,7 @@ def _numbers(data: bytes, wanted: Sequence[int], separator: str, count: int, fir
         table = None
     for number, raw in enumerate(data.splitlines(), first):
         line = raw.partition(b"#")[0].decode("utf-8", "replace").strip(" \r\n")
-        cells = [cell.strip() for cell in (line.split(separator) if separator != " " else line.split())]
+        cells, _ = _cells(line, separator)
         if line and len(cells) != count:
             raise ValueError(f"line {number} has {len(cells)} fields, {shown(line)}; expected {count}")
         for cell in (cells[k] for k in wanted if line):

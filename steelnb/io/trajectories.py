@@ -26,11 +26,11 @@ QUATERNION_TOLERANCE = 0.05
 TUM = ("t", "x", "y", "z", "qx", "qy", "qz", "qw")
 W_FIRST = (*TUM[:4], "qw", *TUM[4:7])
 OTHER_NAMES = {
-    "t": ("timestamp", "stamp", "time"),
-    **{axis: (f"t{axis}", f"p_rs_r_{axis}", f"p{axis}") for axis in "xyz"},
-    **{f"q{axis}": (f"q_{axis}", f"q_rs_{axis}") for axis in "xyzw"},
+    **dict.fromkeys(("timestamp", "stamp", "time"), "t"),
+    **{name: axis for axis in "xyz" for name in (f"t{axis}", f"p_rs_r_{axis}", f"p{axis}")},
+    **{name: f"q{axis}" for axis in "xyzw" for name in (f"q_{axis}", f"q_rs_{axis}")},
 }
-"""Names of the columns in files of TUM, evo and EuRoC, in small letters."""
+"""Names of the columns in files of TUM, evo and EuRoC, in small letters, and those of `TUM`."""
 NOT_UNIT = "pose that is not finite or has no unit quaternion"
 NOT_RISING = "pose whose stamp does not rise"
 
@@ -67,40 +67,38 @@ def read_trajectory(
 
 def _rows(path: Path, table: Table, options: RecordingOptions) -> Array:
     """Rows of ``stamp x y z qx qy qz qw`` by the names of the columns, or those of TUM."""
-    names, units, order = table.names, table.units, ",".join(TUM)
-    is_tum = not names and table.width == len(TUM)
+    order = ",".join(TUM)
+    is_tum = not table.names and table.width == len(TUM)
     if is_tum:
-        names, units = (W_FIRST if options.quaternion == "wxyz" else TUM), ("",) * len(TUM)
-    if not names:
+        table = table._replace(names=W_FIRST if options.quaternion == "wxyz" else TUM, units=[""] * len(TUM))
+    if not table.names:
         expected = f"TUM's 8, KITTI's 12, or their names by --columns {order} (in order, _ for one to skip)"
         raise ValueError(f"{table.width} columns without names; expected {expected}")
-    found: dict[str, list[int]] = {role: [] for role in TUM}
-    for number, name in enumerate(map(str.lower, names)):
-        for role in TUM:
-            if name == role or (not options.columns and name in OTHER_NAMES.get(role, ())):
-                found[role].append(number)
-    is_beside = options.stamps == IN_ORDER or (not found["t"] and bool(stamps_file(options)))
-    if wrong := [role for role in (TUM[1:] if is_beside else TUM) if len(found[role]) != 1]:
-        counted = f"{len(found[wrong[0]])} of them are {wrong[0]}"
+    roles = [name.lower() for name in table.names]
+    if not options.columns:
+        roles = [OTHER_NAMES.get(role, role) for role in roles]
+    is_beside = options.stamps == IN_ORDER or ("t" not in roles and bool(stamps_file(options)))
+    if wrong := [role for role in (TUM[1:] if is_beside else TUM) if roles.count(role) != 1]:
+        counted = f"{roles.count(wrong[0])} of them are {wrong[0]}"
         raise ValueError(
-            f"columns {shown(', '.join(names))}: {counted}; expected --columns {order} (_ for one to skip)"
+            f"columns {shown(', '.join(table.names))}: {counted}; expected --columns {order} (_ for one to skip)"
         )
-    values = table.values([found[role][0] for role in TUM[1:]])
-    lengths = {units[found[axis][0]] or "m" for axis in "xyz"}
+    columns = [roles.index(role) for role in TUM[1:]]
+    values = table.values(columns)
+    lengths = {table.units[column] or "m" for column in columns[:3]}
     if len(lengths) > 1:
         raise ValueError(f"x, y and z in {' and '.join(sorted(lengths))}; expected one unit")
-    if lengths != {"m"}:
-        values[:, :3] *= metres_of(lengths.pop())
+    values[:, :3] *= metres_of(lengths.pop())
     if is_beside:
         return np.column_stack([_stamps_beside(path, options, len(values)), values])
-    column = found["t"][0]
-    stamps, unit = table.values([column])[:, 0], units[column]
+    column = roles.index("t")
+    stamps, unit = table.values([column])[:, 0], table.units[column]
     if is_tum and table.separator != " " and (np.abs(stamps) > STAMP_MAX_S).any():
         expected = f"--columns {order}, or qw before qx as of EuRoC, and --stamps ns"
         raise ValueError(f"8 columns without names, and stamps such as {stamps[0]:.0f}; expected {expected}")
     if options.stamps in SECONDS and ("." not in table.first_cells[column] or (np.abs(stamps) > STAMP_MAX_S).any()):
         unit = str(options.stamps)
-    return np.column_stack([_seconds(stamps, unit, names[column]), values])
+    return np.column_stack([_seconds(stamps, unit, table.names[column]), values])
 
 
 def stamps_file(options: RecordingOptions) -> str:

@@ -275,7 +275,9 @@ def test_a_bar_along_x_does_not_count_its_lines(tmp_path: Path) -> None:
         ("x y z\n1 2 3 4\n", "x y z"),
         ("x[m],y[m],z[ft]\n1,2,3\n", "one unit"),
         ("7\n1 2 3\n1 2 4\n", "expected 7"),
-        ("", "numbers"),
+        ("", "numbers.*empty"),
+        ("\n\n<html><head>\nno tower\n" * 99, "numbers.*'<html><head>'"),
+        ("x" * 999, f"numbers.*'{'x' * 70}.{{,40}}$"),
         ("\0\0\1", "binary"),
     ],
 )
