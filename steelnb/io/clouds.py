@@ -134,7 +134,7 @@ def _read_ply(path: Path, _: RecordingOptions) -> Read:
     return Read(points, "PLY")
 
 
-def _read_pcd(path: Path, options: RecordingOptions) -> Read:
+def _read_pcd(path: Path, _: RecordingOptions) -> Read:
     """Fields of a header may be missing that others imply, and its lines may end as those of Windows."""
     from pypcd4.pypcd4 import PointCloud
 

@@ -38,7 +38,7 @@ class ShownFlight:
     segments: Segments
 
     def picture(self) -> plots.Figure:
-        """The scene as a static figure (`plots.flight.figure_flight`)."""
+        """The scene as a static figure (`plots.draw.figure_flight`)."""
         method = self.result.settings.odometry.method
         names = {"drifting": "none", "corrected": method}
         paths = {LABELS[name]: (self.paths[path], COLOURS[name]) for path, name in names.items()}

@@ -17,9 +17,8 @@ from steelnb.odometry.base import BaseOdometry, FoundPose, Stopwatch
 from steelnb.odometry.segments import GAIN, across_of, timed
 from steelnb.points import preprocess_scan
 from steelnb.settings import HoughSettings, OdometrySettings, ReportSegmentSettings
+from steelnb.settings.stages import NO_FLOOR_M
 
-NO_FLOOR_M = -1e6
-"""No floor filter: the Hough transform includes the points of the floor."""
 RADIUS_M = 0.05
 """Radius of every bar in the original."""
 DISTANCE_MAX_M = 2 * RADIUS_M + 4 * math.sqrt(3) * RADIUS_M / 1.5
@@ -45,7 +44,7 @@ class ReportSegmentOdometry(BaseOdometry):
 
     def __init__(self, settings: OdometrySettings | None = None, T_drone_sensor: Array | None = None) -> None:
         super().__init__(settings or OdometrySettings.preset(self.method, "report"), T_drone_sensor)
-        self.preprocess = self.settings.preprocess.replace(floor_m=NO_FLOOR_M)
+        self.preprocess = self.settings.preprocess.replace(floor_m=NO_FLOOR_M)  # the transform sees the floor, too
         self.bars, self.error, self.lines = ReportBars(), np.zeros(3), 0
 
     def _update(self, scan: Scan, prior: Array, watch: Stopwatch) -> FoundPose:

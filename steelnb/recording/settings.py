@@ -12,6 +12,7 @@ from steelnb.core.types import Array, Flight
 from steelnb.points import voxel_grid
 from steelnb.settings import ExperimentSettings, StructureSettings
 from steelnb.settings.base import setting_names
+from steelnb.settings.stages import NO_FLOOR_M
 
 FIRST_SCANS = 10
 SCALE_MIN = 1.25
@@ -23,7 +24,6 @@ REGISTERED_MIN = 100
 UNDERGROUND_M = 0.3
 UNDERGROUND_SHARE = 0.01
 """If more than this share of points is below zero by more than `UNDERGROUND_M`, the world's zero is not the ground."""
-NO_FLOOR_M = -1e6
 LENGTHS = {
     "preprocess.voxel_leaf_m": 1,
     "hough.dx_m": 1, "hough.gap_max_m": 1, "hough.length_min_m": 1, "hough.density_min_per_m": -1,
@@ -52,8 +52,7 @@ class Scene:
         first, clouds = flight.first(FIRST_SCANS), []
         for scan in first.scans:
             points = np.asarray(scan.points, dtype=float).reshape(-1, 3)
-            range_m = np.linalg.norm(points, axis=1)
-            clouds.append(points[np.isfinite(range_m) & (range_m > 0)])  # zeros stand for no return in many files
+            clouds.append(points[np.isfinite(np.linalg.norm(points, axis=1))])
         range_m = np.linalg.norm(np.concatenate(clouds), axis=1)
         if not len(range_m):
             return cls(np.nan, np.nan, np.nan, clouds[0])

@@ -11,6 +11,8 @@ from steelnb.settings.base import Finite, NotNegative, Positive, Probability, Se
 
 THICKNESS_MIN, THICKNESS_MAX = 0.04, 0.2
 """Bounds of the thickness of angle sections, a share of their flanges."""
+NO_FLOOR_M = -1e6
+"""A floor so low that no point is below it."""
 
 
 class PreprocessSettings(Settings):
@@ -70,7 +72,3 @@ class StructureSettings(Settings):
     def of(cls, preprocess: PreprocessSettings) -> Self:
         """With the floor and the range of a method's preprocessing."""
         return cls(floor_m=preprocess.floor_m, range_max_m=preprocess.crop_m)
-
-    def lowered(self, by_m: float) -> Self:
-        """These settings for a world whose zero is ``by_m`` higher."""
-        return self.replace(floor_m=self.floor_m - by_m) if by_m else self

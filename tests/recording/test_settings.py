@@ -8,8 +8,9 @@ import pytest
 from steelnb import experiment
 from steelnb.core.errors import InputError
 from steelnb.core.types import Flight, Scan, Trajectory
-from steelnb.recording.settings import LENGTHS, NO_FLOOR_M, Scene, recording_settings
+from steelnb.recording.settings import LENGTHS, Scene, recording_settings
 from steelnb.settings import METHODS, ExperimentSettings
+from steelnb.settings.stages import NO_FLOOR_M
 
 
 def made(points, height_m: float = 2.0, scans: int = 3) -> Flight:
