@@ -198,6 +198,8 @@ def _read_las(path: Path, options: RecordingOptions) -> Read:
         stored = header.point_count * header.point_format.size
         if not header.are_points_compressed and (held := path.stat().st_size - header.offset_to_point_data) < stored:
             raise ValueError(f"truncated: {held} bytes of points; expected {stored}, as its header says")
+        if header.are_points_compressed:
+            _check_chunks(path, header.offset_to_point_data, header.point_format.size)
         try:
             for part in file.chunk_iterator(1 << 20):
                 xyz = np.stack([part.x, part.y, part.z], axis=-1).astype(np.float64)
@@ -211,6 +213,18 @@ def _read_las(path: Path, options: RecordingOptions) -> Read:
         raise ValueError(f"{sum(map(len, parts))} points; expected {header.point_count}, as its header says")
     version = f"{path.suffix[1:].upper()} {header.version}, point format {header.point_format.id}"
     return Read(np.concatenate(parts) if parts else np.zeros((0, 3)), version)
+
+
+def _check_chunks(path: Path, begin: int, point_size: int) -> None:
+    """Raise ValueError if the table of a LAZ file says that it has more chunks than fit: each begins with a whole point
+    (Isenburg, "LASzip: lossless compression of lidar data", 2013). The memory for them would end the process."""
+    with path.open("rb") as file:
+        file.seek(begin)
+        table = int.from_bytes(file.read(8), "little", signed=True)
+        file.seek(max(table, 0) + 4)
+        chunks = int.from_bytes(file.read(4), "little")
+    if table > begin and chunks * point_size > path.stat().st_size:
+        raise ValueError(f"a table of {chunks} chunks of points; expected at least {point_size} bytes of each")
 
 
 def _check_metres(header: Any) -> None:

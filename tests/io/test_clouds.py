@@ -196,12 +196,16 @@ def test_a_header_of_las_with_more_records_than_its_file_holds_is_refused_at_onc
     assert time.perf_counter() - began_s < 5
 
 
-def test_a_chunk_of_laz_that_is_said_to_be_huge_does_not_end_the_process(tmp_path: Path) -> None:
+def test_chunks_of_laz_that_are_said_to_be_huge_or_many_do_not_end_the_process(tmp_path: Path) -> None:
     path = save(tmp_path / "a.laz")
-    whole, chunk = bytearray(path.read_bytes()), struct.pack("<I", 50_000)
-    whole[whole.index(chunk) + 3] = 127
-    path.write_bytes(whole)
+    whole, chunk = path.read_bytes(), struct.pack("<I", 50_000)
+    path.write_bytes(whole.replace(chunk, chunk[:3] + b"\x7f"))
     np.testing.assert_allclose(read_points(path, NONE), POINTS)
+    (begin,) = struct.unpack_from("<I", whole, 96)
+    (table,) = struct.unpack_from("<q", whole, begin)
+    path.write_bytes(whole[: table + 7] + b"\xff" + whole[table + 8 :])
+    with pytest.raises(InputError, match="chunks"):
+        read_points(path, NONE)
 
 
 WKT = 'PROJCS["a",GEOGCS["b",UNIT["degree",0.0174532925]],UNIT["US survey foot",0.304800609601219]]'
