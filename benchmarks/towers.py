@@ -119,7 +119,7 @@ def main() -> None:
         bars = bars_of_cloud(cloud.points).bars
         seconds = time.perf_counter() - start_s
         rows.append({"tower": tower} | judged(kind, marks, bars) | {"seconds": seconds})
-        print(pd.DataFrame(rows[-1:]).round(3).to_string(index=False, header=len(rows) == 1), flush=True)
+        print(pd.DataFrame(rows[-1:]).round(3).to_string(index=False, header=len(rows) == 1, col_space=8), flush=True)
         if options.pictures:
             save_picture(options.pictures / f"{tower}.png", cloud.points, kind, marks, bars)
     table = pd.DataFrame(rows)
