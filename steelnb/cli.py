@@ -200,12 +200,14 @@ def segment(
     output: Annotated[
         Path | None, typer.Option("-o", "--output", metavar="FOLDER", help="Output folder. Default: NAME_segments.")
     ] = None,
-    voxel: Annotated[float | None, typer.Option(help="Voxel size in metres. Default: from the point spacing.")] = None,
     dx: Annotated[
         float | None,
         typer.Option(help="Radius in metres of the tube that holds a bar's points. Default: from the point spacing."),
     ] = None,
-    min_votes: Annotated[int | None, typer.Option(help="Minimum number of filtered points of a bar.")] = None,
+    confidence: Annotated[float | None, typer.Option(help="What a bar must gain, nats. Default: 10.")] = None,
+    keep_all: Annotated[
+        bool, typer.Option("--all", metavar=NO_VALUE, help="Keep lines of no structure, such as in trees, too.")
+    ] = False,
     unit: Annotated[
         str | None, typer.Option(help="Unit of the coordinates, such as mm or ft. Default: metres.")
     ] = None,
@@ -226,7 +228,7 @@ def segment(
         on_stage(f"reading {cloud.name}")
         named = tuple(name.strip() for name in columns.split(",")) if columns else None
         stated: dict[str, Any] = {"unit": unit, "columns": named}
-        sizes: dict[str, Any] = {"voxel_m": voxel, "dx_m": dx, "min_votes": min_votes}
+        sizes: dict[str, Any] = {"dx_m": dx, "confidence": confidence, "keep_all": keep_all}
         result = segment_file(cloud, target, **sizes, scene=scene, on_stage=on_stage, **stated)
     say("\n".join(result.summary))
     warn(*result.warnings)

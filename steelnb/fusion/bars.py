@@ -1,4 +1,4 @@
-"""Bars of a voxel map: ridges of its weight, lines in blocks of them, and collinear pieces merged.
+"""Bars of a voxel map: ridges of its weight, tubes along them (`hough.tubes`), and collinear pieces merged.
 
 Ridges are the voxels along bars, without the range noise around them, and without the surfaces, where lines in any
 direction would pass for bars.
@@ -12,15 +12,14 @@ from numpy.typing import NDArray
 
 from steelnb.core.kernels import njit
 from steelnb.core.types import Array, IntArray, Segments
-from steelnb.fusion.joints import BEND_MAX, BEND_MIN, REACH_M
-from steelnb.hough.near_segments import nearest_bar, within
-from steelnb.hough.whole_structure import LENGTH, MIN_VOTES, segment_structure
+from steelnb.fusion.joints import REACH_M
+from steelnb.hough.tubes import find_tubes
 from steelnb.points import VoxelMap, voxel_grid
 from steelnb.points.kdtree import advance, columns_of, gather
 from steelnb.points.surfaces import Surfaces, surfaces_of
 from steelnb.points.voxel_map import offsets_within
 
-TUBE_M, VOXEL_M = 0.06, 0.04
+TUBE_M, RADIUS_M, THIN_M, VOXEL_M = 0.06, 0.04, 0.02, 0.04
 """Radius of the tube that contains a bar's points, and edge of the voxels that accumulate the scans. These and the
 other lengths and shares of reconstruction were tuned with ``starling2`` on ``zigzag`` and ``loops`` flights around the
 tower ``tapered`` and one with flanges of 160 mm."""
@@ -42,10 +41,9 @@ class Ridges:
     @classmethod
     def of(cls, voxels: VoxelMap, sum_m: float = 0.0) -> "Ridges":
         """Those of a map; ``sum_m`` as in `ridge_points`."""
-        points = voxel_grid(
-            ridge_points(voxels, RIDGE_RADIUS_M, RIDGE_SHARE, CONTRACT_M, sum_m=sum_m), TUBE_M / math.sqrt(3)
-        )
-        return cls(voxels, points, surfaces_of(voxels, points, max(CELL * VOXEL_M, CELL_VOXELS * voxels.voxel_m)))
+        points = voxel_grid(ridge_points(voxels, RIDGE_RADIUS_M, RIDGE_SHARE, CONTRACT_M, sum_m=sum_m), THIN_M)
+        cell_m = max(CELL * VOXEL_M, CELL_VOXELS * voxels.voxel_m)
+        return cls(voxels, points, surfaces_of(voxels, voxel_grid(points, TUBE_M / math.sqrt(3)), cell_m))
 
     @property
     def off_surfaces(self) -> Array:
@@ -134,104 +132,33 @@ def _contract(key, mean, weight, around, radius):  # type: ignore[no-untyped-def
     return contracted
 
 
-LENGTH_MIN_M = LENGTH * TUBE_M
-"""Minimum length of a bar (`segment_structure`)."""
-STRUT_TUBE_M, STRUT_LENGTH_MIN_M, STRUT_HIDE_M, STRUT_CONTRACT_M = 0.04, 0.18, 0.045, 0.05
-"""The same for struts, short bars between two others. ``STRUT_HIDE_M``: minimum distance of their points from bars."""
-GRIDS = 4
-"""Number of grids of blocks in which bars are proposed. On flights, eight grids find no more bars than four."""
+LENGTH_MIN_M = 5 * TUBE_M
 IN_LINE_RAD, PIECE_GAP_MAX_M = math.radians(4), 0.3
 """Maximum angle between two pieces of one bar, and maximum gap between them."""
 COPY_RAD, COPY_SHARE = math.radians(15), 0.6
 """Maximum angle of a copy to a stronger bar, and minimum share of its samples within `REACH_M` of it."""
 SAMPLES = 9
 """Number of samples along a bar."""
-BEND_PLACES = np.arange(1, 12) / 12
-"""Possible positions of a bend, as shares of a bar's length."""
-BEND_SHARE_MAX = 2 / 3
-"""Maximum sum of the squared distances of a bar's points from two lines that meet, as a share of that from one line. At
-ten braces of the report's tower that bend by 3°, it is 0.1 to 0.63; at other bars with such an angle and rise, above
-0.75 (development seed 11, true poses). On development flights, 258 of 308 splits with a piece shorter than 1 m are
-wrong by more than 2°, and 49 of 1,177 others. Most of these bars are struts and arms whose ends and middle the sensor
-sees on different faces. Structures are no better if they are not split: on `tapered`, recall is 0.948 instead of 0.953,
-and precision 0.983 in both cases."""
 
 
-def find_bars(ridges: Ridges, grids: int = GRIDS, rise_m: float = math.inf) -> tuple[Segments, str]:
+def find_bars(ridges: Ridges, rise_m: float = math.inf) -> tuple[Segments, str]:
     """The bars on ridges, strongest first, with axes in the middle of their points; and the reason if none.
 
-    ``grids``: number of grids of blocks, 1 to 8 (`segment_structure`); ``rise_m``: see `merge_pieces`.
+    ``rise_m``: see `merge_pieces`.
     """
     points = ridges.off_surfaces
     others = len(ridges.points) - len(points)
-    found = f"{len(points)} points on ridges" + (f" ({others} more lie on surfaces)" if others else "")
-    if len(points) < MIN_VOTES or not np.linalg.norm(np.ptp(points, axis=0)) > 2 * LENGTH_MIN_M:
-        return Segments.empty(), f"{found}: too few or too close together for a bar"
-    bars = bars_on_ridges(points, MIN_VOTES, grids, rise_m)
-    if not len(bars):
-        return bars, f"none of {found} lie along a line"
-    struts = find_struts(ridges, bars, STRUT_HIDE_M, grids)
-    return merge_pieces(Segments.joined((bars, struts)), rise_m=rise_m), ""
-
-
-def bars_on_ridges(points: Array, min_votes: int, grids: int, rise_m: float) -> Segments:
-    """Lines in tubes through points on ridges ``(N, 3)``, metres, split at bends and merged."""
-    bars = segment_structure(points, TUBE_M, min_votes, grids=grids)
-    return merge_pieces(split_bends(points, bars), rise_m=rise_m)
-
-
-def find_struts(ridges: Ridges, bars: Segments, hide_m: float, grids: int = GRIDS) -> Segments:
-    """The short bars between the ``bars`` of a voxel map. They have few points next to long bars, and their ends lie in
-    the tubes of these. So the search is limited to voxels off all surfaces and farther than ``hide_m`` from all bars.
-    Both ends of a strut come near one of these when it is extended."""
-    mean = ridges.voxels.means()
-    hidden = within(mean, bars, hide_m) | (ridges.surfaces.label_of(mean) >= 0)
-    points = ridge_points(ridges.voxels, RIDGE_RADIUS_M, RIDGE_SHARE, STRUT_CONTRACT_M, hidden)
-    points = voxel_grid(points, STRUT_TUBE_M / math.sqrt(3))
-    if len(points) < MIN_VOTES:
-        return Segments.empty()
-    struts = segment_structure(points, STRUT_TUBE_M, MIN_VOTES, STRUT_LENGTH_MIN_M / STRUT_TUBE_M, grids)
-    beyond = beyond_ends(struts, REACH_M, TUBE_M)
-    near = within(beyond.reshape(-1, 3), bars, TUBE_M).reshape(beyond.shape[:3])
-    return struts.take(np.asarray(near.any(axis=1).all(axis=0)))
+    bars = merge_pieces(find_tubes(points, RADIUS_M)[0], rise_m=rise_m)
+    if len(bars):
+        return bars, ""
+    more = f" ({others} more lie on surfaces)" if others else ""
+    return bars, f"none of {len(points)} points on ridges{more} lie along a line"
 
 
 def beyond_ends(bars: Segments, reach_m: float, tube_m: float) -> Array:
     """Points ``(2, S, B, 3)`` from the start and the end of each bar outwards, up to ``reach_m``, half a tube apart."""
     extension = np.arange(0, reach_m + 1e-9, 0.5 * tube_m)[:, None, None] * bars.direction
     return np.stack([bars.start - extension, bars.end + extension])
-
-
-def split_bends(points: Array, bars: Segments, tube_m: float = TUBE_M, share_max: float = BEND_SHARE_MAX) -> Segments:
-    """The bars of ``points (N, 3)``, with each bar that bends slightly replaced by two.
-
-    The tube of a straight bar also holds a bar that bends by a few degrees, and its axis is then wrong by centimetres.
-    A bar is split if two lines that meet at the angle of a bend explain its points clearly better than one line, and if
-    the shorter one rises across the other by more than `TUBE_M`. Below that, `merge_pieces` would join them again.
-    The points of a bar lie within ``tube_m`` of its axis, and two lines must leave at most ``share_max`` of the sum of
-    their squared distances.
-    """
-    label, is_straight, bends = nearest_bar(points, bars, tube_m, 0.0), np.ones(len(bars), dtype=bool), []
-    own = np.argsort(label, kind="stable")
-    first, lengths, directions = np.searchsorted(label[own], np.arange(len(bars) + 1)), bars.length, bars.direction
-    for b in np.flatnonzero(lengths > 2 * TUBE_M / math.tan(math.acos(BEND_MAX))):
-        offset, length = points[own[first[b] : first[b + 1]]] - bars.start[b], lengths[b]
-        along, place = offset @ directions[b], BEND_PLACES * length
-        # The lines are linear in the position along the bar and in that beyond the bend.
-        basis = np.stack(np.broadcast_arrays(1.0, along, np.maximum(along - place[:, None], 0.0)), axis=2)
-        straight, fits = (np.linalg.pinv(each) @ offset for each in (basis[0, :, :2], basis))
-        cost = ((offset - basis[0, :, :2] @ straight) ** 2).sum()
-        least = ((offset - basis @ fits) ** 2).sum(axis=(1, 2))
-        best = int(least.argmin())
-        at, fit = place[best], fits[best]
-        slope = float(np.linalg.norm(fit[2]))
-        is_bend = BEND_MAX < 1.0 / math.hypot(1.0, slope) < BEND_MIN and slope * min(at, length - at) > TUBE_M
-        if is_bend and least[best] <= share_max * cost:
-            is_straight[b] = False
-            corner = bars.start[b] + np.array([[1, 0, 0], [1, at, 0], [1, length, length - at]]) @ fit
-            count, radius = np.bincount(along > at), math.sqrt(least[best] / len(offset))
-            bends.append(Segments(corner[:2], corner[1:], count, np.full(2, radius)))
-    return Segments.joined([bars.take(is_straight), *bends])
 
 
 def merge_pieces(bars: Segments, width_m: Array | None = None, rise_m: float = math.inf) -> Segments:

@@ -18,21 +18,10 @@ from scipy.spatial import cKDTree
 from steelnb.core.geometry import connected
 from steelnb.core.robust import geman_mcclure
 from steelnb.core.types import Array, IntArray, Segments
-from steelnb.fusion.bars import (
-    GRIDS,
-    LENGTH_MIN_M,
-    TUBE_M,
-    VOXEL_M,
-    Ridges,
-    bars_on_ridges,
-    beyond_ends,
-    merge_pieces,
-    split_bends,
-)
+from steelnb.fusion.bars import LENGTH_MIN_M, RADIUS_M, TUBE_M, VOXEL_M, Ridges, beyond_ends, merge_pieces
 from steelnb.fusion.joints import REACH_M, TILT_DETERMINED_RAD, between_joints, find_joints
-from steelnb.hough.lines import DX_PER_SPACING, spacing
-from steelnb.hough.near_segments import ALONG_M, FREE_MIN, freedom_of, nearest_bar, on_plates, within
-from steelnb.hough.whole_structure import MIN_VOTES
+from steelnb.hough.near_segments import nearest_bar, within
+from steelnb.hough.tubes import COST, find_tubes, gains_of, spacing_of
 from steelnb.points import VoxelMap
 from steelnb.points.surfaces import Surface, Surfaces
 from steelnb.points.voxel_map import pack
@@ -43,6 +32,8 @@ FIT_TUBES, FIT_ROUNDS, FIT_SCALE = 1.5, 3, 1.5
 """See `refitted`: distance of points in tube radii, rounds of weights, and the scale of these in
 median distances."""
 TURN_MAX_RAD = math.radians(20)
+POINTS_MIN = 8
+"""Minimum number of points of a bar that is refitted."""
 
 
 def refitted(points: Array, bars: Segments) -> tuple[Segments, NDArray[np.bool_]]:
@@ -55,7 +46,7 @@ def refitted(points: Array, bars: Segments) -> tuple[Segments, NDArray[np.bool_]
     """
     start, end, is_weak, direction = bars.start.copy(), bars.end.copy(), np.ones(len(bars), dtype=bool), bars.direction
     for bar, own in enumerate(_own_points(points, bars, FIT_TUBES * TUBE_M, TUBE_M)):
-        if len(own) < MIN_VOTES:
+        if len(own) < POINTS_MIN:
             continue
         weight = np.ones(len(own))
         for _ in range(FIT_ROUNDS):
@@ -102,7 +93,7 @@ APART = 2.0
 ADJACENT = 1.8
 """Radius, in cells or voxels, that holds the 26 around each: those of one object, and those whose weights are summed
 (``sum_m`` in `ridge_points`)."""
-AROUND, EXPLAINED_MIN = 10.0, 0.7
+AROUND, EXPLAINED_MIN, EXPLAINED_SPARSE_MIN = 10.0, 0.9, 0.6
 """Distance to a structure of the points around it, in radii of the tube, and the minimum share of them on its bars.
 Trees and cars have 0.1 to 0.7, towers 0.9 to 1, and 0.5 to 0.7 with trees that reach into them."""
 HELD_MIN = 0.6
@@ -117,6 +108,9 @@ directions. Structures that end in the air have 18 to 260, trees 0 to 12; where 
 BRANCHES, LOOSE_MAX = 20, 0.5
 """Minimum number of bars in all directions that are a tree: there are poles with many arms. And the maximum share of
 them that end at others: trees have 0.1 to 0.2, and woods 0.4 to 0.5."""
+CONTRAST_MIN = 1.0
+"""Where bars explain less, a bar must be e times as dense as what lies around it. In a ball of random points lines have
+0.2 to 1, in grass up to 1.5, and members 1 to 3."""
 ALONE = 2
 """As many bars or fewer, such as a pole in a bush, need only stand free."""
 
@@ -141,14 +135,20 @@ def at_bars(bars: Segments, tube_m: float, these: NDArray[np.bool_] | None = Non
 
 
 def in_structures(
-    points: Array, on_bar: NDArray[np.bool_], bars: Segments, tube_m: float, surface: Array
+    points: Array,
+    on_bar: NDArray[np.bool_],
+    bars: Segments,
+    tube_m: float,
+    surface: Array,
+    stands_out: NDArray[np.bool_],
+    explained_min: float,
 ) -> NDArray[np.bool_]:
     """Whether each bar belongs to a structure ``(B,)``.
 
     Bars that hang together are a structure if they are at most `ALONE`, if most of the points around them lie on bars,
     if that is so along most of their length, or if most of them end at other bars or at surfaces. Trees without leaves
     stand as clear: bars that are not `prefabricated` must end at others, too. Pieces in which few do are one with those
-    that points connect them to.
+    that points connect them to. Where bars explain less, those that do not stand out (``stands_out (B,)``) are none.
 
     ``points (N, 3)``: those on no surface; ``on_bar (N,)``: whether a point lies on a bar; ``surface (M, 3)``: the
     points on surfaces.
@@ -165,7 +165,10 @@ def in_structures(
     ]
     own = _most_at(axes, steel, number)
     count = np.bincount(own, minlength=len(around))
-    is_structure = (count <= ALONE) | (np.bincount(number) >= EXPLAINED_MIN * around)
+    explained = np.bincount(number) >= explained_min * around
+    stands_out = stands_out | explained[own]
+    count = np.bincount(own, stands_out, len(around))
+    is_structure = (count <= ALONE) | explained
     at_surface, clear = np.zeros((len(bars), 2), dtype=bool), np.zeros(len(bars), dtype=bool)
     if len(surface):
         nearby = cKDTree(surface, balanced_tree=False, compact_nodes=False)  # as in `spacing`
@@ -177,10 +180,10 @@ def in_structures(
         on, near = (tree.query_ball_point(axes[bar], AROUND * tube_m, return_length=True) for tree in (steel, every))
         clear[bar] = np.median(on / np.maximum(near, 1)) >= CLEAR_MIN
     held, length_m, clear_m = (
-        np.bincount(own, weight, len(count)) for weight in (is_held, bars.length, bars.length * clear)
+        np.bincount(own, weight * stands_out, len(count)) for weight in (is_held, bars.length, bars.length * clear)
     )
     is_structure |= (held >= HELD_MIN * count) | (clear_m >= MOST * length_m)
-    belongs = is_structure[own]
+    belongs = is_structure[own] & stands_out & (explained[own] | is_held | clear | (count <= ALONE)[own])
     is_ragged, is_near = held < LOOSE_MAX * count, np.isfinite(distance)
     if is_ragged.any():  # between two pieces of a tree, a branch may have too few points for a bar
         ragged = points[is_near][is_ragged[number[nearest[is_near]]]]
@@ -220,63 +223,33 @@ def prefabricated(bars: Segments, at_surface: NDArray[np.bool_], tube_m: float) 
     return is_member
 
 
-WIDTH_MAX = 3.0
-"""Maximum median width of bars that fit in a tube, in its radii."""
-OFF_MIN = 0.05
-"""A cloud with a smaller share of its points off all surfaces has no bars worth a search in other tubes."""
-
-
 @dataclass(frozen=True, eq=False)
 class CloudBars:
-    """The bars of a cloud ``points (N, 3)``, strongest first, and the surfaces that were left out.
+    """The bars of a cloud ``points (N, 3)``, the longest first, and the surfaces that were left out.
 
-    ``freedom (B,)``: share of the points around a bar that lie on it, 0 to 1 (`freedom_of`); ``width_m (B,)``;
-    ``surfaces``; ``surface (N,)``: number of the surface that each point of the cloud lies on, or −1;
-    ``voxel_m``: edge of the voxels in which the points were accumulated; ``tube_m``: radius of the tubes;
-    ``narrowest_m``: radius of the narrowest tubes in which bars of slim members were found, else ``tube_m``;
-    ``typical_m``: median width of the bars before those were dropped that do not stand free, NaN if there were none;
-    ``apart``: number of bars that were dropped as part of no structure (`in_structures`).
+    ``confidence (B,)``: what each bar gains, nats (`hough.tubes`), and ``contrast (B,)``: each of its points;
+    ``is_sure (B,)``: false for short ones that end at no other, and those of no structure; ``width_m (B,)``.
+    ``surface (N,)``: number of the one of the ``surfaces`` that each point of the cloud lies on, or −1; ``apart_m``:
+    distance of the points (`spacing_of`); ``tube_m``: radius of the tube that holds a bar; ``apart``: number of bars
+    that belong to no structure (`in_structures`).
     """
 
     points: Array
     bars: Segments
-    freedom: Array
+    confidence: Array
+    contrast: Array
+    is_sure: NDArray[np.bool_]
     width_m: Array
     surfaces: list[Surface]
     surface: IntArray
-    voxel_m: float
+    apart_m: float
     tube_m: float
-    narrowest_m: float
-    typical_m: float
     apart: int = 0
 
-    def take(self, index: IntArray) -> "CloudBars":
+    def take(self, index: IntArray | NDArray[np.bool_]) -> "CloudBars":
         """The same with some bars, in this order."""
-        return replace(self, bars=self.bars.take(index), freedom=self.freedom[index], width_m=self.width_m[index])
-
-    @property
-    def fit_tubes(self) -> bool:
-        """Whether bars were found, and most fit in the tube. In a wider bar, lines along its sides pass for bars."""
-        return len(self.bars) > 0 and self.typical_m <= WIDTH_MAX * self.tube_m
-
-    @property
-    def is_lattice(self) -> bool:
-        """Whether most bars end at other bars, by the measure of `in_structures`."""
-        return len(self.bars) > ALONE and at_bars(self.bars, self.tube_m).all(axis=1).mean() >= HELD_MIN
-
-    @property
-    def all_on_surfaces(self) -> bool:
-        """Whether less than `OFF_MIN` of the points lie on no surface."""
-        return float((self.surface < 0).mean()) < OFF_MIN
-
-    def share_inside(self, bars: Segments) -> float:
-        """Share of the length of other bars that lies inside these: one wide bar may hold several lines along its
-        sides. 1 if there are none."""
-        if not len(bars):
-            return 1.0
-        ends = zip(bars.start, bars.end, bars.length, strict=True)
-        along = np.concatenate([np.linspace(a, b, 2 + int(length / ALONG_M))[:-1] for a, b, length in ends])
-        return float((nearest_bar(along, self.bars, 0.5 * WIDTH_MAX * self.tube_m, self.tube_m) >= 0).mean())
+        names = ("confidence", "contrast", "is_sure", "width_m")
+        return replace(self, bars=self.bars.take(index), **{name: getattr(self, name)[index] for name in names})
 
     def scaled(self, scale: float, points: Array) -> "CloudBars":
         """The same with all lengths multiplied; ``points (N, 3)``: the cloud at this scale."""
@@ -284,9 +257,7 @@ class CloudBars:
             self.bars, start=scale * self.bars.start, end=scale * self.bars.end, radius=scale * self.bars.radius
         )
         surfaces = [surface.scaled(scale) for surface in self.surfaces]
-        lengths = {
-            name: scale * getattr(self, name) for name in ("width_m", "voxel_m", "tube_m", "narrowest_m", "typical_m")
-        }
+        lengths = {name: scale * getattr(self, name) for name in ("width_m", "apart_m", "tube_m")}
         return replace(self, points=points, bars=bars, surfaces=surfaces, **lengths)
 
     @cached_property
@@ -294,175 +265,92 @@ class CloudBars:
         """The points on no surface ``(M, 3)``."""
         return self.points[self.surface < 0]
 
-    @cached_property
-    def is_off(self) -> NDArray[np.bool_]:
-        """Whether each of the points on no surface lies on no bar ``(M,)``."""
-        return ~self.within(FIT_TUBES)
-
     def within(self, reach: float) -> NDArray[np.bool_]:
         """Whether each of the points on no surface lies within ``reach`` times the half-width of a bar, or times the
         tube if that is wider ``(M,)``."""
         reach_m = reach * np.maximum(0.5 * self.width_m, self.tube_m)
         return np.asarray(nearest_bar(self.steel, self.bars, reach_m, self.tube_m) >= 0)
 
-    @property
-    def share_off(self) -> float:
-        """Share of the points on no surface that lie on no bar; 0 if all lie on surfaces."""
-        return np.count_nonzero(self.is_off) / max(len(self.steel), 1)
-
-    def joined(self, more: "CloudBars") -> "CloudBars":
-        """These bars and those of other tubes, the strongest first."""
-        bars = Segments.joined([self.bars, more.bars])
-        order = np.argsort(-bars.count, kind="stable")
-        freedom, width_m = np.append(self.freedom, more.freedom), np.append(self.width_m, more.width_m)
-        first = self if len(self.bars) else more
-        joined = replace(
-            self, bars=bars, freedom=freedom, width_m=width_m, tube_m=first.tube_m, typical_m=first.typical_m,
-            narrowest_m=min(self.narrowest_m, more.narrowest_m),
-        )  # fmt: skip
-        return joined.take(order)
-
-    def of_structures(self) -> "CloudBars":
-        """Those bars that belong to a structure."""
-        belongs = in_structures(self.steel, ~self.is_off, self.bars, self.tube_m, self.points[self.surface >= 0])
-        return replace(self.take(np.flatnonzero(belongs)), apart=int(np.count_nonzero(~belongs)))
+    def judged(self) -> "CloudBars":
+        """The same, without being sure of bars that belong to no structure."""
+        is_sparse = self.apart_m >= RADIUS_M / TUBE_M * self.tube_m
+        explained_min = EXPLAINED_SPARSE_MIN if is_sparse else EXPLAINED_MIN
+        sure = self.take(self.is_sure)
+        on_bar, surface, stands_out = (
+            sure.within(FIT_TUBES),
+            self.points[self.surface >= 0],
+            sure.contrast >= CONTRAST_MIN,
+        )
+        belongs = in_structures(self.steel, on_bar, sure.bars, self.tube_m, surface, stands_out, explained_min)
+        is_sure = self.is_sure.copy()
+        is_sure[is_sure] = belongs
+        return replace(self, is_sure=is_sure, apart=int(np.count_nonzero(~belongs)))
 
 
 SURE_M = 0.8
 """A bar that is shorter than this needs a bar at an end, and a bar or a surface at the other: where a flight has seen
 half of a member, it lies askew."""
-BEND_SHARE = 0.95
-"""``share_max`` in `split_bends`: all points tell bends that are small beside the section."""
+TUBE_SPACINGS, CELL_SPACINGS, VOXEL_SPACINGS = 0.6, 1.3, 0.8
+"""Minimum radius of a tube, length of its cells, and edge of voxels, in distances of fourth neighbours."""
 TUBES_MIN = 40
 """Minimum size of a cloud in tubes: the bars of a small model are thinner than those of a tower."""
-NARROWER, WIDER = tuple(2 ** (-k / 2) for k in range(1, 11)), (2, 4)
-"""Other tubes to try, in multiples of the first."""
-OBJECT_MIN = 0.02
-"""Minimum size of an object that narrower tubes search, as a share of the points on no surface. Smaller ones are tufts
-of grass and ends of bars."""
-REST_MIN, KEPT_MIN = 0.2, 0.9
-"""Minimum share of the points on no surface that lie on no bar, for wider tubes among them: bars of narrower tubes
-leave less of their object. And the minimum share of the first bars' length inside wider ones that replace them."""
-LATTICE_REST_MAX = 0.4
-"""What bars of narrower tubes may leave if they form a lattice: some members of a slim mast have too few points."""
-STEEL_CHANGE = 0.9
-"""A cloud is searched again if the tube that the points on no surface call for and that of the whole cloud differ by
-more than this factor: ground may be sampled more sparsely than steel or, around a scanner's tripod, more densely."""
 
 
 def bars_of_cloud(
     points: Array,
     tube_m: float | None = None,
-    voxel_m: float | None = None,
-    min_votes: int = MIN_VOTES,
+    cost: float = COST,
     on_stage: Callable[[str], None] | None = None,
+    keep_all: bool = False,
 ) -> CloudBars:
     """Find the bars of a cloud ``(N, 3)``, metres, z up, finite.
 
-    Points are accumulated in voxels of edge ``voxel_m``, by default two thirds of the tube, and only voxels on ridges
-    of their weight remain: range noise spreads the rest. Surfaces are left out (`surfaces_of`). Lines through the rest
-    are split at bends, refitted to all points, extended to their joints and merged (`fusion.bars`,
-    `fusion.joints`). A bar lies on no plate (`on_plates`) and stands free (`freedom_of`), and if it is short, its ends
-    meet others. Bars of trees and vehicles are left out (`in_structures`).
+    Surfaces are left out (`surfaces_of`). Where points are closer together than bars are wide, only the ridges of their
+    density remain. Bars are the tubes that gain at least ``cost`` nats among these (`hough.tubes`). They are extended
+    to their joints, merged and refitted to all points (`fusion.joints`). If a bar is short, its ends meet others. Bars
+    of trees and vehicles are left out (`in_structures`).
 
-    ``tube_m``: radius of the tube that holds a bar's points. All lengths of the search are proportional to it. By
-    default, it is that of `default_tube`, for the points on no surface if that differs (`STEEL_CHANGE`), and what bars
-    leave is searched in other tubes (`NARROWER`, `WIDER`).
-    ``min_votes``: minimum number of ridge voxels of a bar. ``on_stage`` is told each search by its name.
+    ``tube_m``: radius of the tube that holds a bar's points, by default `default_tube`. All lengths of the search are
+    proportional to it. ``on_stage`` is told what goes on. ``keep_all``: keep bars that are not sure.
     """
-    least_m = (voxel_m or 0.0) * TUBE_M / VOXEL_M
-
-    def search(points: Array, tube_m: float) -> CloudBars:
-        if on_stage is not None:
-            on_stage(f"searching {len(points)} points in tubes of {tube_m:.2g} m")
-        scale = tube_m / TUBE_M
-        found = _bars_in_tubes(points / scale, voxel_m / scale if voxel_m else VOXEL_M, min_votes)
-        return found if scale == 1.0 else found.scaled(scale, points)
-
-    found = search(points, tube_m or max(default_tube(points), least_m))
-    if tube_m is None:
-        of_steel_m = max(default_tube(found.steel), least_m) if len(found.steel) > min_votes else found.tube_m
-        if min(of_steel_m, found.tube_m) < STEEL_CHANGE * max(of_steel_m, found.tube_m):
-            found = search(points, of_steel_m)
-        if not found.all_on_surfaces:
-            found = _in_wider_tubes(_in_narrower_tubes(found, least_m, search), search)
-    return found.of_structures()
-
-
-TubeSearch = Callable[[Array, float], CloudBars]
-"""Points, and the radius of the tubes → their bars."""
-
-
-def _in_narrower_tubes(found: CloudBars, least_m: float, search: TubeSearch) -> CloudBars:
-    """The bars, and those of objects beside them that narrower tubes explain: masts whose members are close together,
-    and models. The narrowest tube is ``least_m``, or what the distance of the object's points allows."""
-    rest, slim = found.steel[found.is_off], found
-    number = objects_of(rest, APART * found.tube_m)
-    large = np.flatnonzero(np.bincount(number) > OBJECT_MIN * len(found.steel))
-    for each in (rest[number == k] for k in large):
-        narrowest_m = max(least_m, DX_PER_SPACING * spacing(each, 4))
-        tubes = dict.fromkeys(max(multiple * found.tube_m, narrowest_m) for multiple in NARROWER)
-        tries = (search(each, tube_m) for tube_m in tubes if tube_m < found.tube_m)
-        best, least = None, 1.0
-        for bars in tries:
-            share = bars.share_off
-            if share < least and (share < REST_MIN or (share < LATTICE_REST_MAX and bars.is_lattice)):
-                best, least = bars, share
-            if best is not None and (share > least or least < OFF_MIN):
-                break
-        slim = slim.joined(best) if best is not None else slim
-    if len(found.bars) or not len(slim.bars) or np.bincount(number).max() == len(found.points):
-        return slim
-    whole = search(found.points, slim.tube_m)  # surfaces end nearer to slim members then
-    return whole if whole.share_off < REST_MIN else slim
-
-
-def _in_wider_tubes(found: CloudBars, search: TubeSearch) -> CloudBars:
-    """The bars of wider tubes if those hold them, and else these, and wider ones among the points that they leave."""
-    if not found.fit_tubes:
-        tries = (search(found.points, multiple * found.tube_m) for multiple in WIDER)
-        found = next((each for each in tries if each.fit_tubes and each.share_inside(found.bars) >= KEPT_MIN), found)
-    for multiple in WIDER:
-        rest = found.steel[found.is_off]
-        if len(rest) < max(REST_MIN * len(found.steel), OFF_MIN * len(found.points)):
-            break
-        more = search(rest, multiple * found.tube_m)
-        found = found.joined(more) if more.fit_tubes else found
-    return found
+    tube_m = tube_m or default_tube(points)
+    if on_stage is not None:
+        on_stage(f"searching {len(points)} points in tubes of {tube_m:.2g} m")
+    scale = tube_m / TUBE_M
+    found = _bars_in_tubes(points / scale, cost)
+    found = (found if scale == 1.0 else found.scaled(scale, points)).judged()
+    return found if keep_all else found.take(found.is_sure)
 
 
 def default_tube(points: Array) -> float:
     """Default radius of the tube of a bar, metres: 6 cm, or more for sparse clouds; at most a fortieth of the diagonal.
 
-    Sparse clouds have 1.2 times the median distance of the points ``(N, 3)`` to their fourth nearest neighbours. In a
-    cloud that was thinned by a voxel filter, this distance is the edge of the voxels, while nearest neighbours may be
-    close together on both sides of a boundary.
+    The distance to fourth neighbours counts: in a cloud that was thinned by a voxel filter, it is the edge of the
+    voxels, while nearest neighbours may be close together on both sides of a boundary.
     """
     diagonal_m = float(np.linalg.norm(np.ptp(points, axis=0)))
-    return min(max(TUBE_M, DX_PER_SPACING * spacing(points, 4)), diagonal_m / TUBES_MIN)
+    return min(max(TUBE_M, TUBE_SPACINGS * spacing_of(points)), diagonal_m / TUBES_MIN)
 
 
-def _bars_in_tubes(points: Array, voxel_m: float, min_votes: int) -> CloudBars:
+def _bars_in_tubes(points: Array, cost: float) -> CloudBars:
     """`bars_of_cloud` with tubes of `TUBE_M`."""
-    voxels = VoxelMap(voxel_m)
+    apart_m = spacing_of(points)
+    voxels = VoxelMap(max(VOXEL_M, VOXEL_SPACINGS * apart_m))
     voxels.insert(points)
-    ridges = Ridges.of(voxels, ADJACENT * voxel_m)
-    free, surfaces = ridges.off_surfaces, ridges.surfaces
-    label = surfaces.label_of(points)
-    off, bars = points[label < 0], Segments.empty()
-    if len(free) >= min_votes and np.linalg.norm(np.ptp(free, axis=0)) > 2 * LENGTH_MIN_M:
-        bars = _tied(bars_on_ridges(free, min_votes, GRIDS, REACH_M), off)
-        bars, is_weak = refitted(off, split_bends(off, bars, FIT_TUBES * TUBE_M, BEND_SHARE))
-        bars = _tied(bars, off, is_weak)
-    width_m = widths_of(off, bars)
-    half_m, typical_m = np.maximum(0.5 * width_m, TUBE_M), float(np.median(width_m)) if len(bars) else math.nan
-    on_bar = ~on_plates(free, bars, half_m, TUBE_M)
-    bars, width_m = bars.take(on_bar), width_m[on_bar]
-    freedom = freedom_of(ridges.points, bars, half_m[on_bar])
-    sure = (freedom >= FREE_MIN) & ((bars.length >= SURE_M) | _held(bars, surfaces))
-    bars, freedom, width_m = bars.take(sure), freedom[sure], width_m[sure]
-    described = surfaces.described(label)
-    return CloudBars(points, bars, freedom, width_m, described, label, voxel_m, TUBE_M, TUBE_M, typical_m)
+    ridges = Ridges.of(voxels, ADJACENT * voxels.voxel_m)
+    label = ridges.surfaces.label_of(points)
+    off = points[label < 0]
+    free = ridges.off_surfaces if apart_m < RADIUS_M else off
+    cell_m = max(2 * RADIUS_M, CELL_SPACINGS * apart_m)
+    bars = _tied(find_tubes(free, RADIUS_M, cell_m, cost)[0], off)
+    bars, is_weak = refitted(off, bars)
+    bars = _tied(bars, off, is_weak)
+    confidence, contrast = gains_of(free, bars, RADIUS_M, cell_m)
+    is_sure = (bars.length >= SURE_M) | _held(bars, ridges.surfaces)
+    width_m, surfaces = widths_of(off, bars), ridges.surfaces.described(label)
+    found = CloudBars(points, bars, confidence, contrast, is_sure, width_m, surfaces, label, apart_m, TUBE_M)
+    order = np.argsort(-bars.length, kind="stable")
+    return found.take(order[confidence[order] >= cost])
 
 
 def _tied(bars: Segments, points: Array, is_weak: NDArray[np.bool_] | None = None) -> Segments:

@@ -169,7 +169,7 @@ class BarFitter:
     def find_and_fit(self, fits: int, every: int = 5) -> FittedBars:
         """The bars of the voxels, fitted ``fits`` times to one in ``every`` scans. Bars extended to their joints have
         more points, so a second fit is more accurate. Raises `InputError` if there are no bars."""
-        segments, reason = find_bars(Ridges.of(self.scans.voxels), grids=1)
+        segments, reason = find_bars(Ridges.of(self.scans.voxels))
         if not len(segments):
             raise InputError(reason)
         for _ in range(fits):

@@ -8,10 +8,10 @@ import numpy as np
 
 from steelnb.core.checks import check_sequence, checked_kind, checked_pose, checked_poses
 from steelnb.core.errors import InputError
-from steelnb.core.types import Array, Scan, Segments, shift_of, translated
+from steelnb.core.types import Array, Scan, shift_of, translated
 from steelnb.fusion.adjustment.factors import DRIFT_PERIOD_S
 from steelnb.fusion.adjustment.smooth import adjust
-from steelnb.fusion.bars import TUBE_M, Ridges, find_bars, find_struts, merge_pieces
+from steelnb.fusion.bars import TUBE_M, Ridges, find_bars
 from steelnb.fusion.joints import between_joints, trim_bends
 from steelnb.fusion.mapped_scans import BarFitter, MappedScans
 from steelnb.fusion.sections import shapes
@@ -34,8 +34,7 @@ def reconstruct(
 ) -> Structure:
     """Bars and joints of a structure from all scans of a flight and their smoothed or corrected poses.
 
-    There are two passes: first the dominant bars, then the shorter ones between them, which become visible once the
-    sections of the first are fitted. The axis of a bar is the line through the centroids of its sections. A bar with
+    The axis of a bar is the line through the centroids of its sections. A bar with
     too few points for its section or direction is dropped, and so are lines in plates (`sections.fit`), on surfaces
     such as ground and walls (`Ridges`), and others that do not stand free (`freedom_of`).
 
@@ -79,10 +78,8 @@ def reconstruct(
     segments, reason = find_bars(ridges, rise_m=TUBE_M)
     if not len(segments):
         return Structure.empty(reason)
-    _, segments = fitter.refine(segments, rise_m=TUBE_M)
-    # Now that axes run through centroids, the voxels near bars hide fewer short bars.
-    struts = find_struts(ridges, segments, TUBE_M)
-    _, segments = fitter.refine(merge_pieces(Segments.joined((segments, struts)), rise_m=TUBE_M), rise_m=TUBE_M)
+    for _ in range(2):
+        _, segments = fitter.refine(segments, rise_m=TUBE_M)
     fitted = fitter.fit(trim_bends(segments), every=1)
     fitted = fitted.take(fitted.bars.is_bar & (fitted.tilt <= TILT_MAX_RAD))  # a tilt is NaN if points are too few
     half_m = np.maximum(0.5 * np.nan_to_num(fitted.bars.flange), TUBE_M)

@@ -18,12 +18,14 @@ from steelnb.hough.lines import default_dx, detect_lines, distinct_points
 from steelnb.hough.near_segments import nearest_bar
 from steelnb.hough.segments import counts_near, cut_and_sort, filter_pieces, merge
 from steelnb.hough.transform import drop, fit_line, fit_near_line
-from steelnb.hough.whole_structure import EXCLUDE_DX, GRANULARITY, PCA_RATIO
 from steelnb.settings import HoughSettings
 
 POINTS_MIN, MERGE_DISTANCE_M, LENGTH_MIN_M = 15, 0.12, 0.3
 """Minimum number of points, maximum distance of merged pieces, and minimum length of a bar. Shared by all methods for a
 fair comparison. Chosen for the Hough transform on development seeds 11 to 16."""
+GRANULARITY, PCA_RATIO, EXCLUDE_DX = 3, 0.9, 1.25
+"""Of the Hough transform, its directions; of a bar, the minimum share of the variance along it; and within how many dx
+of a bar points are left out in the second pass."""
 SORTING = HoughSettings()
 """A bar has no larger gap and no larger root mean square radius (``dx_m``) than the defaults of the Hough transform."""
 ASSIGN_DX = 1.2

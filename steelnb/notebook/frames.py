@@ -22,7 +22,6 @@ from steelnb.fusion.cloud_bars import bars_of_cloud
 from steelnb.fusion.structure import Structure
 from steelnb.hough.alternatives import find_bars_by
 from steelnb.hough.lines import default_dx
-from steelnb.hough.whole_structure import segment_structure
 from steelnb.metrics import SeenMembers, SegmentScore, score_segments, seen_members
 from steelnb.metrics.structure import Reference, reference, score_structure
 from steelnb.notebook.cases import cloud_case
@@ -260,8 +259,8 @@ CONDITIONS: dict[str, Callable[[Array, np.random.Generator], Array]] = {
 }
 """What may be done to a cloud in random order: points and a generator → points. Noise is added to all coordinates."""
 CLOUD_MEASURES = ["recall", "precision", "duplicates", "length", "offset_m"]
-CLOUD_METHODS = ("steelnb segment", "blocks", "hough", "ransac-lines", "dbscan", "gmm")
-"""`bars_of_cloud`; `segment_structure`, on which it builds; and methods of `hough.alternatives`."""
+CLOUD_METHODS = ("steelnb segment", "hough", "ransac-lines", "dbscan", "gmm")
+"""`bars_of_cloud`, and methods of `hough.alternatives`."""
 
 
 def merged_cloud(tower: str, seed: int, duration_s: float) -> tuple[Array, Reference]:
@@ -283,8 +282,7 @@ def find_bars_in(method: str, points: Array, seed: int, **options: Any) -> Segme
     if method == "steelnb segment":
         return bars_of_cloud(points).bars
     dx = default_dx(points)
-    thinned = voxel_grid(points, dx / np.sqrt(3))
-    return segment_structure(thinned, dx) if method == "blocks" else find_bars_by(method, thinned, seed, dx, **options)
+    return find_bars_by(method, voxel_grid(points, dx / np.sqrt(3)), seed, dx, **options)
 
 
 def cloud_trial(

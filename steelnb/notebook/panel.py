@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Any
 from steelnb import experiment, plots
 from steelnb.core.errors import SteelnbError
 from steelnb.core.types import Array, Segments, Trajectory
-from steelnb.hough.lines import default_dx
-from steelnb.hough.whole_structure import MIN_VOTES, segment_structure
+from steelnb.fusion.cloud_bars import bars_of_cloud
 from steelnb.metrics import paired_clouds
 from steelnb.notebook.runs import Flights
 from steelnb.notebook.tables import title
@@ -108,8 +107,8 @@ class Panel:
         doing = functools.partial(self._tell, "this is the drift; correcting it")
         result = experiment.estimate(settings, flight, truth, doing)
         segments = result.segments
-        if not len(segments) and len(result.points) > MIN_VOTES:  # the map of an odometry by clouds
-            segments = segment_structure(result.points, default_dx(result.points))
+        if not len(segments):  # the map of an odometry by clouds
+            segments = bars_of_cloud(result.points).bars
         cloud = plots.thinned(paired_clouds(flight, result, truth, settings.odometry.preprocess, 1)[0], POINTS_MAX)
         self.view = ShownFlight(result, paths | {"corrected": result.corrected}, cloud, segments)
         method, numbers = settings.odometry.method, result.metrics

@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection, PolyCollection
-from matplotlib.colors import to_rgb
 from numpy.typing import NDArray
 
 from steelnb.core.types import Array, Segments, Trajectory
@@ -205,27 +204,30 @@ def figure_flight(
 
 @style()
 def figure_bars(
-    points: Array, segments: Segments, title: str, surface: NDArray[np.bool_] | None = None, sure: Array | None = None
+    points: Array,
+    segments: Segments,
+    title: str,
+    surface: NDArray[np.bool_] | None = None,
+    sure: NDArray[np.bool_] | None = None,
 ) -> Figure:
     """Draw bars over points ``(N, 3)``, metres: from the front, from the side, from above and in perspective.
 
-    ``surface (N,)``: whether a point lies on a surface; they have another colour. ``sure (M,)``: how sure each bar
-    is, 0 to 1; unsure ones are pale. A bar behind another one is drawn first.
+    ``surface (N,)``: whether a point lies on a surface; they have another colour. ``sure (M,)``: whether each bar
+    is sure; others are thin. A bar behind another one is drawn first.
     """
     surface, seen = np.zeros(len(points), dtype=bool) if surface is None else surface, in_view(points)
     points, surface = points[seen], surface[seen]
     kept = [thinned(points[where], CLOUD_POINTS // 2) for where in (surface, ~surface)]
     kinds = [(cloud, name) for cloud, name in zip(kept, ("surface", "points"), strict=True) if len(cloud)]
     ends, cloud = end_points(segments), points[~surface] if len(segments) else points
-    alpha = np.full(len(segments), 1.0) if sure is None else np.clip(sure, 0.25, 1.0)
+    width = np.where(np.ones(len(segments), dtype=bool) if sure is None else sure, 1.3, 0.4)
     figure = Figure(figsize=(13, 6.5))
     *views, space = figure.subplots(1, 4, width_ratios=(1, 1, 1, 1.1))
     for panel, (right, up, depth), name in zip(views, VIEWS, VIEW_NAMES, strict=True):
         for some, kind in kinds:
             panel.plot(*some[:, [right, up]].T, "o", ms=0.8, mew=0, color=COLOURS[kind], rasterized=True)
         order = np.argsort(ends[:, :, depth].mean(axis=1) * (1 if depth != 1 else -1), kind="stable")
-        colours = [(*to_rgb(COLOURS["bars found"]), float(a)) for a in alpha[order]]
-        draw_lines(panel, ends[order][..., [right, up]], color=colours or None, lw=1.3)
+        draw_lines(panel, ends[order][..., [right, up]], color=COLOURS["bars found"], lw=width[order])
         panel.set(title=name, xlabel=f"{'xyz'[right]} (m)", ylabel=f"{'xyz'[up]} (m)")
         panel.set_aspect("equal", adjustable="datalim")
         if len(segments):  # ground may reach much farther
@@ -234,7 +236,7 @@ def figure_bars(
             panel.set_ylim(low - MARGIN_M, high + MARGIN_M, auto=True)
     shown = thinned(cloud, CLOUD_POINTS // 2)
     space.plot(*project_perspective(shown, cloud).T, "o", ms=0.8, mew=0, color=COLOURS["points"], rasterized=True)
-    draw_bars(space, ends, cloud, color=COLOURS["bars found"], lw=1.2)
+    draw_bars(space, ends, cloud, color=COLOURS["bars found"], lw=width)
     frame_perspective(space, cloud)
     figure.suptitle(drawable(title), fontsize=12, parse_math=False)
     return figure

@@ -10,13 +10,11 @@ import pytest
 
 from steelnb import cli
 from steelnb.core.errors import InputError
-from steelnb.hough.lines import default_dx
+from steelnb.fusion.cloud_bars import bars_of_cloud
 from steelnb.hough.near_segments import within
-from steelnb.hough.whole_structure import segment_structure
 from steelnb.metrics import score_segments
-from steelnb.points import voxel_grid
 from steelnb.recording.segment import SegmentReport, segment_file
-from tests.lattice import lattice, rods, scanned, sheet, thinned
+from tests.lattice import lattice, on_ground, scanned, thinned, tree
 
 FILES = {"segments.csv", "segments.png"}
 UTM = np.array([299100.0, 2801400.0, 1900.0])
@@ -54,15 +52,13 @@ def report(saved: Path, folder: Path) -> SegmentReport:
 def test_bars_of_a_coarse_survey_are_found_and_its_faces_without_bars_hold_few() -> None:
     """A cloud like those of a drone's LiDAR: bars 0.1 m wide, noise 8 cm, points 0.17 m apart."""
     survey = thinned(scanned(lattice(), 120, 0.1, 0.08), 0.17)
-    dx = default_dx(survey)
-    found = segment_structure(voxel_grid(survey, dx / np.sqrt(3)), dx)
-    score = score_segments(found, lattice())
-    assert 0.2 < dx < 0.3
+    found = bars_of_cloud(survey)
+    score = score_segments(found.bars, lattice())
     assert min(score.recall, score.precision) > 0.95
     assert score.offset_m.mean() < 0.05
-    assert within(survey, found, dx).mean() > 0.75
+    assert within(survey, found.bars, 0.25).mean() > 0.75
     jittered = survey + np.random.default_rng(1).uniform(-1, 1, survey.shape)
-    assert within(jittered, segment_structure(voxel_grid(jittered, dx / np.sqrt(3)), dx), dx).mean() < 0.08
+    assert within(jittered, bars_of_cloud(jittered).bars, 0.25).mean() < 0.08
 
 
 def test_the_bars_of_a_near_scan_are_found_and_written(report: SegmentReport, folder: Path) -> None:
@@ -98,11 +94,9 @@ def test_large_coordinates_come_back_to_the_millimetre(saved: Path, report: Segm
 
 @pytest.mark.usefixtures("undrawn")
 def test_the_settings_are_used(saved: Path, tmp_path: Path) -> None:
-    found = segment_file(saved, tmp_path / "out", voxel_m=0.05, dx_m=0.1, min_votes=20)
-    assert (found.voxel_m, found.dx_m) == (0.05, 0.1)
-    assert found.segments.count.min() >= 20
-    line = save_cloud(tmp_path / "line.csv", LINE)
-    assert segment_file(line, tmp_path / "out", voxel_m=0.2).dx_m == pytest.approx(1.5 * 0.2)
+    found = segment_file(saved, tmp_path / "out", dx_m=0.1, confidence=40.0)
+    assert found.dx_m == 0.1
+    assert found.confidence.min() >= 40.0
 
 
 @pytest.mark.parametrize(
@@ -111,8 +105,7 @@ def test_the_settings_are_used(saved: Path, tmp_path: Path) -> None:
         ({"dx_m": 0.0}, "dx_m = 0.0: expected a length above 0"),
         ({"dx_m": float("nan")}, "dx_m = nan"),
         ({"dx_m": 1e9}, "dx_m = 1000000000.0"),
-        ({"voxel_m": 1e-300}, "voxel_m = 1e-300"),
-        ({"min_votes": 1}, "min_votes = 1: expected at least 2"),
+        ({"confidence": 0.0}, "confidence = 0.0: expected a number above 0"),
     ],
 )
 def test_bad_settings_are_refused(saved: Path, tmp_path: Path, settings: dict, message: str) -> None:
@@ -159,19 +152,18 @@ def test_any_cloud_gets_an_answer(tmp_path: Path, shape: str) -> None:
 def test_a_cloud_of_few_points_is_told_that_they_are_few(tmp_path: Path) -> None:
     few = np.random.default_rng(1).uniform(0, 3, (10, 3))
     report = segment_file(save_cloud(tmp_path / "few.csv", few), tmp_path / "found")
-    assert report.warnings == ("no bar found: the cloud has only 10 points, and a bar needs 8 voxels along a line",)
+    assert report.warnings == ("no bar found: the cloud has only 10 points",)
 
 
-def test_points_on_wide_bars_are_explained_where_the_tube_is_narrow(tmp_path: Path) -> None:
-    rng = np.random.default_rng(8)
-    poles = rods(rng, *(((x, 0, 0), (x, 0, 8)) for x in (0, 10, 20)), radius_m=0.15, per_m2=400)
-    wires = rods(rng, *(((0, y, 7.5), (20, y, 7.5)) for y in (-1.4, -0.7, 0.7, 1.4)), radius_m=0.01, per_m2=5000)
-    cloud = np.concatenate([poles, wires, sheet(24.0, 6.0, per_m2=200) - [2.0, 3.0, 0.0]])
-    report = segment_file(save_cloud(tmp_path / "cloud.csv", cloud), tmp_path / "out")
-    assert len(report.segments) == 7
-    assert report.dx_m < 0.15
-    assert report.explained > 0.9
-    assert not report.warnings
+@pytest.mark.usefixtures("undrawn")
+def test_lines_in_a_tree_are_kept_and_marked_if_all_are_asked_for(tmp_path: Path) -> None:
+    cloud = save_cloud(tmp_path / "tree.csv", on_ground(tree(np.random.default_rng(3), 2.0, 0.0), 4.0))
+    none = segment_file(cloud, tmp_path / "none")
+    assert len(none.segments) == 0
+    assert "--all" in none.warnings[0]
+    every = segment_file(cloud, tmp_path / "all", keep_all=True)
+    assert len(every.segments) > 5
+    assert any(line.startswith("unsure") for line in every.summary)
 
 
 @pytest.mark.usefixtures("undrawn")
