@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from steelnb.core.types import Segments
 from steelnb.fusion import Structure, joints
-from steelnb.fusion.bars import TUBE_M, merge_pieces, split_bends
+from steelnb.fusion.bars import merge_pieces
 from steelnb.fusion.joints import between_joints, find_joints, nearest_point, trim_bends
 from tests.fusion.made import bars_of, distance_to_lines, random_bars, rigid, structure_of_bars, turned
 
@@ -113,31 +113,6 @@ def test_bars_that_continue_each_other_end_at_the_bend():
     bars = trim_bends(bars_of([[0, 0, -3], [0, 0, 0.3]], [0.2 * up, 3 * up]))
     assert bars.end[0] == pytest.approx([0, 0, 0], abs=1e-9)
     assert bars.start[1] == pytest.approx([0, 0, 0], abs=1e-9)
-
-
-@settings(max_examples=40, deadline=None)
-@given(SEEDS, st.floats(0, 6), st.floats(0.2, 0.8))
-def test_a_bar_that_bends_in_its_tube_becomes_two_that_stay_apart(seed, bend_deg, place):
-    rng, bend, T = np.random.default_rng(seed), np.radians(bend_deg), rigid(seed)
-    along = np.linspace(0, 5, 160)
-    beyond = np.maximum(along - 5 * place, 0)
-    points = np.column_stack([along - beyond * (1 - np.cos(bend)), beyond * np.sin(bend), 0 * along])
-    points = (points + rng.normal(scale=0.012, size=points.shape)) @ T[:3, :3].T + T[:3, 3]
-    # The line through all points, and a bar of which none is near.
-    axis = np.linalg.svd(points - points.mean(axis=0))[2][0]
-    line = points.mean(axis=0) + ((points[[0, -1]] - points.mean(axis=0)) @ axis)[:, None] * axis
-    rise = 5 * min(place, 1 - place) * np.tan(bend)
-    outside = np.linalg.norm(np.cross(points - line[0], axis), axis=1) > TUBE_M
-    assume(abs(rise - TUBE_M) > 0.02 and outside.mean() < 0.05)
-    bars = turned(bars_of(line, line + 3.0), seed)
-    found = split_bends(points, bars)
-    if rise < TUBE_M:
-        np.testing.assert_array_equal(found.start, bars.start)
-        return
-    corner = T[:3, :3] @ [5 * place, 0, 0] + T[:3, 3]
-    assert len(found) == len(merge_pieces(found)) == 3
-    assert found.count[1:].sum() >= 0.9 * len(points)
-    assert np.linalg.norm(np.concatenate([found.start[1:], found.end[1:]]) - corner, axis=1).min() < 0.4
 
 
 @settings(max_examples=60, deadline=None)
