@@ -19,7 +19,7 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, nargs="+", default=[21])
     parser.add_argument("--towers", nargs="+", default=["slender", "heavy", "light", "report", "tapered"])
     parser.add_argument("--conditions", nargs="+", default=list(CONDITIONS), choices=list(CONDITIONS))
-    parser.add_argument("--methods", nargs="+", default=["steelnb segment", "blocks"])
+    parser.add_argument("--methods", nargs="+", default=["steelnb segment"])
     parser.add_argument("-o", "--output")
     options = parser.parse_args()
     tables = []
