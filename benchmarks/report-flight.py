@@ -26,10 +26,11 @@ from scipy.spatial import cKDTree
 
 from steelnb.core import rng
 from steelnb.core.types import Array, IntArray, Scan
-from steelnb.odometry.report_segments import NO_FLOOR_M, sorted_segments
+from steelnb.odometry.report_segments import sorted_segments
 from steelnb.points import preprocess_scan
 from steelnb.settings import ExperimentSettings, HoughSettings, TowerSettings
 from steelnb.settings.presets import sensor_tables
+from steelnb.settings.stages import NO_FLOOR_M
 from steelnb.simulation import build_tower
 from steelnb.simulation.raycasting import cast_rays, make_scene, rays
 from steelnb.simulation.tof import measured_ranges, reported_rays

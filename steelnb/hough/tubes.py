@@ -45,7 +45,7 @@ CELLS_MAX = 10**7
 """Maximum number of cells of the grid that points are sorted into."""
 
 
-class Cloud(NamedTuple):
+class SortedCloud(NamedTuple):
     """N points, metres, sorted into the cells of a grid, and what is known of them.
 
     ``point (N, 3)``; ``weight (N,)``: how many points each stands for; ``owner (N,)``: the line each belongs to, −1 for
@@ -65,7 +65,7 @@ class Cloud(NamedTuple):
     found: IntArray
 
     @classmethod
-    def of(cls, points: Array, weight: Array, edge: float) -> "Cloud":
+    def of(cls, points: Array, weight: Array, edge: float) -> "SortedCloud":
         """Sort points ``(N, 3)``; the cells are wider than ``edge`` if there would be too many."""
         low = points.min(axis=0) - 1e-9
         edge = max(edge, float((np.prod(np.ptp(points, axis=0) + edge) / CELLS_MAX) ** (1 / 3)))
@@ -257,7 +257,7 @@ def gain_along(cloud, tubes, point, axis, half, grows):
 
 
 @njit(cache=True, nogil=True)
-def principal_axis(cloud, point, axis, low, high, reach):
+def axis_near(cloud, point, axis, low, high, reach):
     """Mean and principal axis of the free points within ``reach`` of a line."""
     found, total, mean = near_line(cloud, point, axis, low, high, reach), 0.0, np.zeros(3)
     for i in range(found):
@@ -323,11 +323,11 @@ def candidates(cloud, tubes, seeds, near, far, partners):
 
 
 @dataclass(eq=False)
-class Search:
+class TubeSearch:
     """The search for the lines of a cloud. ``lines``: those found, None for those that were joined or dropped;
-    ``members``: the points of each; ``tails``: its points and their expected numbers in `Cloud.tail`."""
+    ``members``: the points of each; ``tails``: its points and their expected numbers in `SortedCloud.tail`."""
 
-    cloud: Cloud
+    cloud: SortedCloud
     tubes: Tubes
     cost: float
     lines: list[Found | None] = field(default_factory=list)
@@ -335,7 +335,7 @@ class Search:
     tails: list[tuple[IntArray, Array]] = field(default_factory=list)
 
     @classmethod
-    def of(cls, points: Array, radius: float, cell: float | None, cost: float) -> "Search":
+    def of(cls, points: Array, radius: float, cell: float | None, cost: float) -> "TubeSearch":
         """That of a cloud ``(N, 3)``. Where points are closer together than the radius of the narrowest tube, metres,
         those in a voxel of that edge count once."""
         points = np.asarray(points, dtype=np.float64)
@@ -347,7 +347,7 @@ class Search:
             weight = np.diff(np.append(first, len(points))).astype(float)
             points = np.add.reduceat(points[order], first) / weight[:, None]
         tubes = Tubes(radius * np.array(WIDTHS), cell or 2.0 * radius)
-        return cls(Cloud.of(points, weight, 3 * radius), tubes, cost)
+        return cls(SortedCloud.of(points, weight, 3 * radius), tubes, cost)
 
     @property
     def alive(self) -> list[int]:
@@ -373,7 +373,7 @@ class Search:
         """The line, moved to the principal axis of its points until it gains no more."""
         while line.gain > 0.0:
             reach = 1.5 * self.tubes.radius[line.tube]
-            point, axis = principal_axis(self.cloud, line.point, line.axis, line.low, line.high, reach)
+            point, axis = axis_near(self.cloud, line.point, line.axis, line.low, line.high, reach)
             new = self.along(point, axis, 0.5 * line.length + 4 * self.tubes.cell)
             if new.gain <= 1.001 * line.gain:
                 return max(new, line, key=lambda each: each.gain)
@@ -567,7 +567,7 @@ def find_tubes(points: Array, radius: float, cell: float | None = None, cost: fl
     """
     if len(points) < POINTS_MIN:
         return Segments.empty(), np.zeros(0)
-    search = Search.of(points, radius, cell, cost)
+    search = TubeSearch.of(points, radius, cell, cost)
     search.run()
     found = [(search.line(k), search.members[k]) for k in search.alive]
     ends = np.array([line.to(search.cloud.point[own]).ends for line, own in found]).reshape(-1, 2, 3)
@@ -582,7 +582,7 @@ def gains_of(points: Array, bars: Segments, radius: float, cell: float | None = 
     gain, each = np.zeros(len(bars)), np.zeros(len(bars))
     if len(points) < POINTS_MIN or not len(bars):
         return gain, each
-    search = Search.of(points, radius, cell, COST)
+    search = TubeSearch.of(points, radius, cell, COST)
     for middle, axis, length in zip(bars.middle, bars.direction, bars.length, strict=True):
         search.take(search.along(middle, axis, 0.5 * length, grows=False))
     for k, (middle, axis, length) in enumerate(zip(bars.middle, bars.direction, bars.length, strict=True)):
