@@ -138,7 +138,7 @@ def test_points_on_unknown_structure_are_no_reason_to_refuse_a_scan_but_free_dir
     every = np.ones(len(bars.turn), dtype=bool)
     whole, _ = located(every)
     assert not whole.reason
-    some, share = located(np.arange(len(every)) % 3 == 0)
+    some, share = located(np.arange(len(every)) % 2 == 0)
     assert not some.reason
     assert share < 0.4
     assert np.linalg.norm(some.T_world_sensor[:3, 3] - whole.T_world_sensor[:3, 3]) < 0.01
@@ -152,6 +152,10 @@ def _points_and_start(estimator, scan, prior):
 
 def test_scans_from_afar_are_registered_too():
     """With few points on each bar, the position is known to 5 to 10 mm, which is better than by clouds."""
+
+    def error_m(estimate):
+        return position_error_m(estimate.corrected, truth.trajectory)[late].mean()
+
     settings = ExperimentSettings.preset("loops", "random-walk", "faces", seed=11, duration_s=24.0)
     settings = settings.override({"flight.standoff_m": 3.4})
     flight, truth = experiment.simulate(settings)
@@ -160,7 +164,8 @@ def test_scans_from_afar_are_registered_too():
     late = flight.prior.stamp_s > 15
     assert (found.seconds["prepare"] > 0)[late].mean() < 0.3
     assert estimator.faces.variance[-3:].max() > 0.004**2
-    assert position_error_m(found.corrected, truth.trajectory)[late].mean() < 0.03
+    clouds = odometry.run(flight, CloudOdometry(OdometrySettings.preset("best"), flight.T_drone_sensor))
+    assert error_m(found) < 0.8 * error_m(clouds)
 
 
 def test_a_flight_without_bars_is_that_of_the_odometry_by_clouds(monkeypatch):
