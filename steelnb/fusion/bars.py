@@ -8,7 +8,6 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from steelnb.core.kernels import njit
 from steelnb.core.types import Array, IntArray, Segments
@@ -19,10 +18,10 @@ from steelnb.points.kdtree import advance, columns_of, gather
 from steelnb.points.surfaces import Surfaces, surfaces_of
 from steelnb.points.voxel_map import offsets_within
 
-TUBE_M, RADIUS_M, THIN_M, VOXEL_M = 0.06, 0.04, 0.02, 0.04
-"""Radius of the tube that contains a bar's points, and edge of the voxels that accumulate the scans. These and the
-other lengths and shares of reconstruction were tuned with ``starling2`` on ``zigzag`` and ``loops`` flights around the
-tower ``tapered`` and one with flanges of 160 mm."""
+TUBE_M, RIDGE_TUBE_M, THIN_M, VOXEL_M = 0.06, 0.03, 0.02, 0.04
+"""Radius of the tube that contains a bar's points, and of the narrowest in which ridges are sought; edge of the voxels
+that thin the ridges, and of those that accumulate the scans. These and the other lengths and shares of reconstruction
+were tuned with ``starling2`` on ``zigzag`` and ``loops`` flights around the towers ``tapered`` and ``light``."""
 RIDGE_RADIUS_M, RIDGE_SHARE, CONTRACT_M = 0.15, 0.2, 0.08
 """See `ridge_points`."""
 CELL, CELL_VOXELS = 2.5, 1.5
@@ -56,21 +55,18 @@ def ridge_points(
     radius_m: float,
     share_min: float,
     contract_m: float,
-    hidden: NDArray[np.bool_] | None = None,
     sum_m: float = 0.0,
 ) -> Array:
     """Points on ridges ``(R, 3)``, metres, in the frame of the map.
 
     Range noise spreads the points of a bar along the rays, into voxels of little weight. So a voxel is kept if it
     has at least ``share_min`` of the largest weight within ``radius_m``. Its mean is then moved, once, to the weighted
-    mean of the kept voxels within ``contract_m``. Voxels in the mask ``hidden (V,)`` are ignored.
+    mean of the kept voxels within ``contract_m``.
 
     ``sum_m``: radius in which weights are summed first. In sparse clouds, and in those thinned by a voxel filter, most
     voxels have one point, so that only their neighbours tell a bar from the noise around it.
     """
     key, mean, weight, voxel_m = voxels.keys(), voxels.means(), voxels.weights(), voxels.voxel_m
-    if hidden is not None:
-        weight[hidden] = 0.0
     order = np.argsort(key, kind="stable")  # the same on every processor: keys differ, and it has no vector code
     key, mean, weight = key[order], mean[order], weight[order]
     if sum_m > 0.0:
@@ -132,7 +128,6 @@ def _contract(key, mean, weight, around, radius):  # type: ignore[no-untyped-def
     return contracted
 
 
-LENGTH_MIN_M = 5 * TUBE_M
 IN_LINE_RAD, PIECE_GAP_MAX_M = math.radians(4), 0.3
 """Maximum angle between two pieces of one bar, and maximum gap between them."""
 COPY_RAD, COPY_SHARE = math.radians(15), 0.6
@@ -148,7 +143,7 @@ def find_bars(ridges: Ridges, rise_m: float = math.inf) -> tuple[Segments, str]:
     """
     points = ridges.off_surfaces
     others = len(ridges.points) - len(points)
-    bars = merge_pieces(find_tubes(points, RADIUS_M)[0], rise_m=rise_m)
+    bars = merge_pieces(find_tubes(points, RIDGE_TUBE_M).found()[0], rise_m=rise_m)
     if len(bars):
         return bars, ""
     more = f" ({others} more lie on surfaces)" if others else ""

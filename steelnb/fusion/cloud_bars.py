@@ -2,7 +2,7 @@
 
 In this order: bars refitted to their points, and their widths (`refitted`); those of structures, told from lines in
 trees and vehicles by what lies around them and where they end (`in_structures`); what was found (`CloudBars`); and the
-search in tubes of several widths.
+search.
 """
 
 import itertools
@@ -18,10 +18,11 @@ from scipy.spatial import cKDTree
 from steelnb.core.geometry import connected
 from steelnb.core.robust import geman_mcclure
 from steelnb.core.types import Array, IntArray, Segments
-from steelnb.fusion.bars import LENGTH_MIN_M, RADIUS_M, TUBE_M, VOXEL_M, Ridges, beyond_ends, merge_pieces
+from steelnb.fusion.bars import TUBE_M, VOXEL_M, Ridges, beyond_ends, merge_pieces
 from steelnb.fusion.joints import REACH_M, TILT_DETERMINED_RAD, between_joints, find_joints
+from steelnb.hough.lines import spacing
 from steelnb.hough.near_segments import nearest_bar, within
-from steelnb.hough.tubes import COST, find_tubes, gains_of, spacing_of
+from steelnb.hough.tubes import COST, NEIGHBOUR, find_tubes
 from steelnb.points import VoxelMap
 from steelnb.points.surfaces import Surface, Surfaces
 from steelnb.points.voxel_map import pack
@@ -88,6 +89,8 @@ def widths_of(points: Array, bars: Segments) -> Array:
     return width_m
 
 
+STEP = 5.0
+"""Length of the steps along an axis at which the points around it are counted, in radii of the tube."""
 APART = 2.0
 """Edge of the cells of an object, in radii of the tube."""
 ADJACENT = 1.8
@@ -160,11 +163,10 @@ def in_structures(
     distance[~on_bar], nearest[~on_bar] = steel.query(points[~on_bar], distance_upper_bound=AROUND * tube_m)
     around = np.bincount(number[nearest[np.isfinite(distance)]], minlength=number.max() + 1)
     axes = [
-        np.linspace(start, end, 3 + int(length / LENGTH_MIN_M))[1:-1]
+        np.linspace(start, end, 3 + int(length / (STEP * TUBE_M)))[1:-1]
         for start, end, length in zip(bars.start, bars.end, bars.length, strict=True)
     ]
     own = _most_at(axes, steel, number)
-    count = np.bincount(own, minlength=len(around))
     explained = np.bincount(number) >= explained_min * around
     stands_out = stands_out | explained[own]
     count = np.bincount(own, stands_out, len(around))
@@ -230,7 +232,7 @@ class CloudBars:
     ``confidence (B,)``: what each bar gains, nats (`hough.tubes`), and ``contrast (B,)``: each of its points;
     ``is_sure (B,)``: false for short ones that end at no other, and those of no structure; ``width_m (B,)``.
     ``surface (N,)``: number of the one of the ``surfaces`` that each point of the cloud lies on, or −1; ``apart_m``:
-    distance of the points (`spacing_of`); ``tube_m``: radius of the tube that holds a bar; ``apart``: number of bars
+    distance of the points (`NEIGHBOUR`); ``tube_m``: radius of the tube that holds a bar; ``apart``: number of bars
     that belong to no structure (`in_structures`).
     """
 
@@ -273,14 +275,11 @@ class CloudBars:
 
     def judged(self) -> "CloudBars":
         """The same, without being sure of bars that belong to no structure."""
-        is_sparse = self.apart_m >= RADIUS_M / TUBE_M * self.tube_m
+        is_sparse = self.apart_m >= NARROW_M / TUBE_M * self.tube_m
         explained_min = EXPLAINED_SPARSE_MIN if is_sparse else EXPLAINED_MIN
         sure = self.take(self.is_sure)
-        on_bar, surface, stands_out = (
-            sure.within(FIT_TUBES),
-            self.points[self.surface >= 0],
-            sure.contrast >= CONTRAST_MIN,
-        )
+        on_bar, stands_out = sure.within(FIT_TUBES), sure.contrast >= CONTRAST_MIN
+        surface = self.points[self.surface >= 0]
         belongs = in_structures(self.steel, on_bar, sure.bars, self.tube_m, surface, stands_out, explained_min)
         is_sure = self.is_sure.copy()
         is_sure[is_sure] = belongs
@@ -290,6 +289,8 @@ class CloudBars:
 SURE_M = 0.8
 """A bar that is shorter than this needs a bar at an end, and a bar or a surface at the other: where a flight has seen
 half of a member, it lies askew."""
+NARROW_M = 0.04
+"""Radius of the narrowest tube, metres. Where points are closer together, ridges are sought."""
 TUBE_SPACINGS, CELL_SPACINGS, VOXEL_SPACINGS = 0.6, 1.3, 0.8
 """Minimum radius of a tube, length of its cells, and edge of voxels, in distances of fourth neighbours."""
 TUBES_MIN = 40
@@ -310,42 +311,36 @@ def bars_of_cloud(
     to their joints, merged and refitted to all points (`fusion.joints`). If a bar is short, its ends meet others. Bars
     of trees and vehicles are left out (`in_structures`).
 
-    ``tube_m``: radius of the tube that holds a bar's points, by default `default_tube`. All lengths of the search are
-    proportional to it. ``on_stage`` is told what goes on. ``keep_all``: keep bars that are not sure.
+    ``tube_m``: radius of the tube that holds a bar's points; by default 6 cm, more where points are far apart
+    (`TUBE_SPACINGS`), and at most a fortieth of the diagonal. All lengths of the search are proportional to it.
+    ``on_stage`` is told what goes on. ``keep_all``: keep bars that are not sure.
     """
-    tube_m = tube_m or default_tube(points)
+    apart_m = spacing(points, NEIGHBOUR)
+    if tube_m is None:
+        diagonal_m = float(np.linalg.norm(np.ptp(points, axis=0)))
+        tube_m = min(max(TUBE_M, TUBE_SPACINGS * apart_m), diagonal_m / TUBES_MIN)
     if on_stage is not None:
         on_stage(f"searching {len(points)} points in tubes of {tube_m:.2g} m")
     scale = tube_m / TUBE_M
-    found = _bars_in_tubes(points / scale, cost)
+    found = _bars_in_tubes(points / scale, apart_m / scale, cost)
     found = (found if scale == 1.0 else found.scaled(scale, points)).judged()
     return found if keep_all else found.take(found.is_sure)
 
 
-def default_tube(points: Array) -> float:
-    """Default radius of the tube of a bar, metres: 6 cm, or more for sparse clouds; at most a fortieth of the diagonal.
-
-    The distance to fourth neighbours counts: in a cloud that was thinned by a voxel filter, it is the edge of the
-    voxels, while nearest neighbours may be close together on both sides of a boundary.
-    """
-    diagonal_m = float(np.linalg.norm(np.ptp(points, axis=0)))
-    return min(max(TUBE_M, TUBE_SPACINGS * spacing_of(points)), diagonal_m / TUBES_MIN)
-
-
-def _bars_in_tubes(points: Array, cost: float) -> CloudBars:
+def _bars_in_tubes(points: Array, apart_m: float, cost: float) -> CloudBars:
     """`bars_of_cloud` with tubes of `TUBE_M`."""
-    apart_m = spacing_of(points)
     voxels = VoxelMap(max(VOXEL_M, VOXEL_SPACINGS * apart_m))
     voxels.insert(points)
     ridges = Ridges.of(voxels, ADJACENT * voxels.voxel_m)
     label = ridges.surfaces.label_of(points)
     off = points[label < 0]
-    free = ridges.off_surfaces if apart_m < RADIUS_M else off
-    cell_m = max(2 * RADIUS_M, CELL_SPACINGS * apart_m)
-    bars = _tied(find_tubes(free, RADIUS_M, cell_m, cost)[0], off)
+    free = ridges.off_surfaces if apart_m < NARROW_M else off
+    cell_m = max(2 * NARROW_M, CELL_SPACINGS * apart_m)
+    search = find_tubes(free, NARROW_M, cell_m, cost)
+    bars = _tied(search.found()[0], off)
     bars, is_weak = refitted(off, bars)
     bars = _tied(bars, off, is_weak)
-    confidence, contrast = gains_of(free, bars, RADIUS_M, cell_m)
+    confidence, contrast = search.gains_of(bars)
     is_sure = (bars.length >= SURE_M) | _held(bars, ridges.surfaces)
     width_m, surfaces = widths_of(off, bars), ridges.surfaces.described(label)
     found = CloudBars(points, bars, confidence, contrast, is_sure, width_m, surfaces, label, apart_m, TUBE_M)

@@ -14,33 +14,57 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from steelnb.core.kernels import njit
 from steelnb.core.types import Array, IntArray, Segments
+from steelnb.hough.lines import spacing
 
 COST = 10.0
 """What a line must gain, nats."""
+PROMISE, AS_GOOD = 0.7, 0.95
+"""A candidate is worth fitting if it gains the first share of the cost, and is taken if it gains the second of what the
+next one promised."""
+SETTLED = 1.001
+"""A line is fitted until a fit multiplies its gain by no more."""
+PRIOR = 0.5
+"""Added to the numbers of points in a cell that are compared. With less, random clumps are lines."""
 EMPTY, EACH = 1.2, 0.75
 """What an empty cell along a line costs, and one with points, nats. The latter pays for choosing the best stretch."""
 WIDTHS = (1.0, 1.5, 2.2)
 """Radii of the tubes, in multiples of the narrowest."""
 SHELL = 3.0
 """Outer radius of what counts as around a tube, in its radii."""
+WINDOW, PLANE_WINDOW = 2, 5
+"""Cells before and after one in which the points of the tube and around it are counted, and those of a plane."""
 TAIL = 4
 """Beyond the radius of a known bar, its points are expected to thin out with this power of the distance."""
 SECTORS = 16
 """Directions around a tube in which points are counted. A plane through the line fills two opposite ones."""
 NEAR, FAR, PARTNERS = 6.0, 24.0, 8
 """A candidate runs through a point and one of some partners, at such distances from it in tube radii."""
+POOL = 4096
+"""Maximum number of points from which partners are drawn."""
 SEED_EDGE = 4.0
 """Edge of the cells in which one point each is a seed, in tube radii."""
+SWEEPS, LAST_SWEEPS, IDLE = 20, 3, 2
+"""Maximum number of sweeps before and after lines are joined, and of those in a row that find nothing."""
+MARGIN, GROWN, CELLS = 4, 6, 800
+"""Cells past the ends of a line in which a fit looks for more of it; a line that ends nearer to where the search does
+may be longer; and the number of cells past which none is."""
+FIT = 1.5
+"""A line is fitted to points within so many radii of its tube."""
 BEND_RAD = math.radians(2.0), math.radians(20.0)
 """Angles between two lines that meet in a bend."""
+BEND_REACH, BEND_CELLS, BEND_PLACES, BEND_NOISE, BENDS = 1.25, 5, 12, 0.25, 3
+"""A bend: reach of its points in tube radii, minimum length of both its lines in cells, parts of a line between which
+it may lie, lowest noise in radii of the narrowest tube, and how often the halves of a line may bend again."""
 MERGE_RAD, MERGE_GAP = math.radians(8.0), 40.0
 """Angle and gap, in tube radii, up to which two lines may be one."""
 POINTS_MIN = 5
-"""A cloud of fewer points has no bars, and a line with fewer near it is none."""
+"""A line with fewer points near it is none."""
+NEIGHBOUR = 4
+"""The distance of points is that to their fourth neighbours: in a cloud that was thinned by a voxel filter, it is the
+edge of the voxels, while nearest neighbours may be close together on both sides of a boundary."""
 CELLS_MAX = 10**7
 """Maximum number of cells of the grid that points are sorted into."""
 
@@ -67,10 +91,10 @@ class SortedCloud(NamedTuple):
     @classmethod
     def of(cls, points: Array, weight: Array, edge: float) -> "SortedCloud":
         """Sort points ``(N, 3)``; the cells are wider than ``edge`` if there would be too many."""
-        low = points.min(axis=0) - 1e-9
-        edge = max(edge, float((np.prod(np.ptp(points, axis=0) + edge) / CELLS_MAX) ** (1 / 3)))
+        low, high = (points.min(axis=0), points.max(axis=0)) if len(points) else np.zeros((2, 3))
+        edge, low = max(edge, float((np.prod(high - low + edge) / CELLS_MAX) ** (1 / 3))), low - 1e-9
         cell = np.floor((points - low) / edge).astype(np.int64)
-        shape = cell.max(axis=0) + 1
+        shape = np.floor((high - low) / edge).astype(np.int64) + 1
         key = (cell[:, 0] * shape[1] + cell[:, 1]) * shape[2] + cell[:, 2]
         order = np.argsort(key, kind="stable")
         first = np.append(0, np.cumsum(np.bincount(key, minlength=int(np.prod(shape)))))
@@ -105,7 +129,7 @@ class Found(NamedTuple):
     def middle(self) -> Array:
         return self.point + 0.5 * (self.low + self.high) * self.axis
 
-    def to(self, points: Array) -> "Found":
+    def between(self, points: Array) -> "Found":
         """The same from the first of its points ``(N, 3)`` to the last."""
         along = (points - self.point) @ self.axis
         return self._replace(low=along.min(), high=along.max()) if len(along) else self
@@ -189,10 +213,11 @@ def gain_along(cloud, tubes, point, axis, half, grows):
     """Gain of a line: (gain in nats, number of the tube, low, high), the ends of its best stretch in metres from
     ``point``. It is sought within ``half`` metres of the point and, if it ``grows``, farther until it ends.
 
-    In a cell, the n free points in the tube gain n log(N / B) and the logarithm of a Gaussian profile across the tube.
-    N: mean number in five cells. B: what is expected in as large a volume, the largest of the free points around all
-    tubes, around this one, and of the smaller of two opposite sectors along eleven cells, which is that of a plane
-    through the line; and the tails of known lines. A cell with nothing but points of other lines costs nothing.
+    In a cell, the n free points in the tube gain n log(N / B) and the logarithm of a Gaussian profile across the tube,
+    of half its radius. N: their mean number in the `WINDOW` around the cell. B: what is expected in as large a volume,
+    the largest of the free points around all tubes, around this one, and of the smaller of two opposite sectors along
+    the `PLANE_WINDOW`, which is that of a plane through the line; and the tails of known lines. `PRIOR` is added to
+    both. A cell with nothing but points of other lines costs nothing.
     """
     radius, cell = tubes.radius, tubes.cell
     low, high, reach, widest = -half, half, SHELL * tubes.radius[-1], len(tubes.radius)
@@ -231,18 +256,19 @@ def gain_along(cloud, tubes, point, axis, half, grows):
                 if free[k, c] == 0.0:
                     gain[c] = 0.0 if known[k, c] > 0.0 else -EMPTY
                     continue
-                begin, end = max(0, c - 2), min(cells, c + 3)
-                inside = mass[k, begin:end].sum() / (end - begin)
+                begin, end = max(0, c - WINDOW), min(cells, c + WINDOW + 1)
+                window = end - begin
+                inside = mass[k, begin:end].sum() / window
                 ring = around[k, end] - around[k, begin]
-                expected = max(beyond[k, begin:end].sum() / outside, ring.sum() / (SHELL**2 - 1.0)) / (end - begin)
+                expected = max(beyond[k, begin:end].sum() / outside, ring.sum() / (SHELL**2 - 1.0)) / window
                 of_others = tail[k, begin:end].sum() / free[k, begin:end].sum()
-                begin, end = max(0, c - 5), min(cells, c + 6)
+                begin, end = max(0, c - PLANE_WINDOW), min(cells, c + PLANE_WINDOW + 1)
                 ring = around[k, end] - around[k, begin]
                 for s in range(SECTORS // 2):
                     t = (s + 1) % SECTORS
                     one, other = ring[s] + ring[t], ring[s + SECTORS // 2] + ring[(t + SECTORS // 2) % SECTORS]
                     expected = max(expected, min(one, other) / (end - begin))
-                ratio = math.log((inside + 0.5) / (expected + of_others + 0.5))
+                ratio = math.log((inside + PRIOR) / (expected + of_others + PRIOR))
                 gain[c] = free[k, c] * (ratio + math.log(2.0)) - 2.0 * square[k, c] - EACH
             total, begin, end = best_stretch(gain)
             if total > best:
@@ -250,10 +276,10 @@ def gain_along(cloud, tubes, point, axis, half, grows):
         if best <= 0.0:
             return result
         result = (best, tube, low + first * cell, low + last * cell)
-        more = math.ceil(max((last - first) * cell, 8.0 * cell) / cell) * cell
-        if not grows or cells >= 800 or (first >= 6 and last <= cells - 6):
+        more = max(last - first, 2 * MARGIN) * cell
+        if not grows or cells >= CELLS or (first >= GROWN and last <= cells - GROWN):
             return result
-        low, high = low - more * (first < 6), high + more * (last > cells - 6)
+        low, high = low - more * (first < GROWN), high + more * (last > cells - GROWN)
 
 
 @njit(cache=True, nogil=True)
@@ -285,7 +311,7 @@ def candidates(cloud, tubes, seeds, near, far, partners):
     """For each seed, the best of some lines through it and a partner between ``near`` and ``far`` from it: points
     ``(S, 3)``, axes ``(S, 3)``, gains ``(S,)``. Partners are drawn by a linear congruential generator."""
     points, axes, gains = np.zeros((len(seeds), 3)), np.zeros((len(seeds), 3)), np.zeros(len(seeds))
-    pool, begin, end = np.empty(4096, np.int64), np.zeros(3, np.int64), np.zeros(3, np.int64)
+    pool, begin, end = np.empty(POOL, np.int64), np.zeros(3, np.int64), np.zeros(3, np.int64)
     factor, more = np.uint64(6364136223846793005), np.uint64(1442695040888963407)
     for i in range(len(seeds)):
         seed = seeds[i]
@@ -315,7 +341,7 @@ def candidates(cloud, tubes, seeds, near, far, partners):
             axis, middle = axis / length, 0.5 * (cloud.point[q] + cloud.point[seed])
             if near_line(cloud, middle, axis, -length, length, tubes.radius[-1]) < POINTS_MIN:
                 continue
-            half = math.ceil(0.5 * length / tubes.cell + 8.0) * tubes.cell
+            half = math.ceil(0.5 * length / tubes.cell + 2 * MARGIN) * tubes.cell
             gain = gain_along(cloud, tubes, middle, axis, half, True)[0]
             if gain > gains[i]:
                 points[i], axes[i], gains[i] = middle, axis, gain
@@ -340,14 +366,14 @@ class TubeSearch:
         those in a voxel of that edge count once."""
         points = np.asarray(points, dtype=np.float64)
         weight = np.ones(len(points))
-        if spacing_of(points) < 1.2 * radius:
+        if len(points) and spacing(points, NEIGHBOUR) < radius:
             cells = np.floor((points - points.min(axis=0)) / radius).astype(np.int64)
             order = np.lexsort(cells.T)
             first = np.flatnonzero(np.append(True, np.any(np.diff(cells[order], axis=0) != 0, axis=1)))
             weight = np.diff(np.append(first, len(points))).astype(float)
             points = np.add.reduceat(points[order], first) / weight[:, None]
         tubes = Tubes(radius * np.array(WIDTHS), cell or 2.0 * radius)
-        return cls(SortedCloud.of(points, weight, 3 * radius), tubes, cost)
+        return cls(SortedCloud.of(points, weight, SHELL * radius), tubes, cost)
 
     @property
     def alive(self) -> list[int]:
@@ -372,10 +398,10 @@ class TubeSearch:
     def fitted(self, line: Found) -> Found:
         """The line, moved to the principal axis of its points until it gains no more."""
         while line.gain > 0.0:
-            reach = 1.5 * self.tubes.radius[line.tube]
+            reach = FIT * self.tubes.radius[line.tube]
             point, axis = axis_near(self.cloud, line.point, line.axis, line.low, line.high, reach)
-            new = self.along(point, axis, 0.5 * line.length + 4 * self.tubes.cell)
-            if new.gain <= 1.001 * line.gain:
+            new = self.along(point, axis, 0.5 * line.length + MARGIN * self.tubes.cell)
+            if new.gain <= SETTLED * line.gain:
                 return max(new, line, key=lambda each: each.gain)
             line = new
         return line
@@ -397,7 +423,9 @@ class TubeSearch:
         tail = beside, usual * np.maximum(aside / radius, 1.0) ** -TAIL
         if number is None:
             number = len(self.lines)
-            self.lines, self.members, self.tails = [*self.lines, None], [*self.members, own], [*self.tails, tail]
+            self.lines.append(line)
+            self.members.append(own)
+            self.tails.append(tail)
         self.lines[number], self.members[number], self.tails[number] = line, own, tail
         self.mark(number, is_known=True)
 
@@ -420,20 +448,20 @@ class TubeSearch:
         seeds = free[order[np.append(True, np.any(np.diff(cell[order], axis=0) != 0, axis=1))[: len(free)]]]
         near, far = NEAR * tubes.radius[0], FAR * tubes.radius[0]
         points, axes, gains = candidates(cloud, tubes, seeds, near, far, PARTNERS)
-        heap = [(-gain, k) for k, gain in enumerate(gains.tolist()) if gain > 0.7 * self.cost]
+        heap = [(-gain, k) for k, gain in enumerate(gains.tolist()) if gain > PROMISE * self.cost]
         heapq.heapify(heap)
         while heap:
             k = heapq.heappop(heap)[1]
-            line = self.along(points[k], axes[k], near + 4 * tubes.cell)
-            if heap and 0.7 * self.cost <= line.gain < -0.95 * heap[0][0]:
+            line = self.along(points[k], axes[k], near + MARGIN * tubes.cell)
+            if heap and PROMISE * self.cost <= line.gain < -AS_GOOD * heap[0][0]:
                 heapq.heappush(heap, (-line.gain, k))
-            elif line.gain >= 0.7 * self.cost and (line := self.fitted(line)).gain >= self.cost:
+            elif line.gain >= PROMISE * self.cost and (line := self.fitted(line)).gain >= self.cost:
                 self.take_straight(line)
         return len(self.lines) - before
 
     def take_straight(self, line: Found, depth: int = 0) -> None:
         """Take a line, or two that meet in a bend."""
-        pieces = self.bent(line) if depth < 3 else []
+        pieces = self.bent(line) if depth < BENDS else []
         for piece in pieces:
             if piece.gain >= self.cost:
                 self.take_straight(piece, depth + 1)
@@ -443,9 +471,9 @@ class TubeSearch:
     def bent(self, line: Found) -> list[Found]:
         """Two lines that meet in a bend, if they explain the points of a line better by more than the cost of one: by
         n log σ² across it, where their noise σ is at least a quarter of the tube. Else none."""
-        own = self.near(line, 0.0, 1.25 * self.tubes.radius[line.tube])
+        own = self.near(line, 0.0, BEND_REACH * self.tubes.radius[line.tube])
         own = own[self.cloud.owner[own] < 0]
-        if len(own) < 12 or line.length < 6 * self.tubes.cell:
+        if len(own) < 2 * POINTS_MIN:
             return []
         offset, weight = self.cloud.point[own] - line.point, self.cloud.weight[own]
         along = offset @ line.axis
@@ -453,7 +481,7 @@ class TubeSearch:
         offset, weight, along = offset[order], weight[order], along[order]
         product = np.einsum("ni,nj->nij", offset, offset).reshape(-1, 9)
         terms = weight[:, None] * np.column_stack([np.ones(len(own)), offset, product])
-        sums, floor = np.cumsum(terms, axis=0), (0.25 * self.tubes.radius[0]) ** 2
+        sums, floor = np.cumsum(terms, axis=0), (BEND_NOISE * self.tubes.radius[0]) ** 2
 
         def fit(total: Array) -> tuple[Array, Array, float]:
             mean = total[1:4] / total[0]
@@ -462,10 +490,13 @@ class TubeSearch:
             return mean, axis, math.log(max(0.5 * (value[0] + value[1]), 0.0) + floor)
 
         whole, most, best = fit(sums[-1])[2], self.cost, None
-        for share in np.arange(1, 12) / 12:
+        for share in np.arange(1, BEND_PLACES) / BEND_PLACES:
             place = line.low + share * line.length
             k = int(np.searchsorted(along, place))
-            if min(k, len(own) - k) >= 5 and min(share, 1 - share) * line.length >= 5 * self.tubes.cell:
+            if (
+                min(k, len(own) - k) >= POINTS_MIN
+                and min(share, 1 - share) * line.length >= BEND_CELLS * self.tubes.cell
+            ):
                 one, two = fit(sums[k - 1]), fit(sums[-1] - sums[k - 1])
                 gain = len(own) * whole - k * one[2] - (len(own) - k) * two[2]
                 if gain > most:
@@ -488,7 +519,7 @@ class TubeSearch:
         for k in self.alive:
             line = self.line(k)
             self.mark(k, is_known=False)
-            new = self.fitted(self.along(line.middle, line.axis, 0.5 * line.length + 4 * self.tubes.cell))
+            new = self.fitted(self.along(line.middle, line.axis, 0.5 * line.length + MARGIN * self.tubes.cell))
             if new.gain >= self.cost:
                 self.take(new, k)
             elif self.anew(line) >= self.cost:
@@ -512,7 +543,7 @@ class TubeSearch:
         along = offset @ line.axis
         aside = np.linalg.norm(offset - along[:, None] * line.axis, axis=1)
         gap = max(along.min() - line.high, line.low - along.max())
-        return bool(aside.min() <= 3 * self.tubes.radius[0] and gap <= MERGE_GAP * self.tubes.radius[0])
+        return bool(aside.min() <= SHELL * self.tubes.radius[0] and gap <= MERGE_GAP * self.tubes.radius[0])
 
     def join(self, one: int, other: int) -> bool:
         """Replace two lines by one through the points of both, if that gains as much less the cost of a line."""
@@ -529,7 +560,7 @@ class TubeSearch:
         offset = self.cloud.point[both] - mean
         axis = np.linalg.eigh((weight[:, None] * offset).T @ offset)[1][:, 2]
         low, high = (offset @ axis).min(), (offset @ axis).max()
-        half = 0.5 * (high - low) + 4 * self.tubes.cell
+        half = 0.5 * (high - low) + MARGIN * self.tubes.cell
         line = self.fitted(self.along(mean + 0.5 * (low + high) * axis, axis, half))
         if line.gain >= max(self.cost, apart - self.cost) and not self.bent(line):
             self.take(line, one)
@@ -539,57 +570,50 @@ class TubeSearch:
             self.mark(k, is_known=True)
         return False
 
+    def found(self) -> tuple[Segments, Array]:
+        """The bars, the best first, and what each gains ``(B,)``, nats (`COST`)."""
+        found = [(self.line(k), self.members[k]) for k in self.alive]
+        ends = np.array([line.between(self.cloud.point[own]).ends for line, own in found]).reshape(-1, 2, 3)
+        count = np.array([self.cloud.weight[own].sum() for _, own in found], dtype=np.int64)
+        width = np.array([self.tubes.radius[line.tube] for line, _ in found])
+        return Segments(ends[:, 0], ends[:, 1], count, width), np.array([line.gain for line, _ in found])
+
+    def gains_of(self, bars: Segments) -> tuple[Array, Array]:
+        """What each of some bars gains beside the others, and how much of it each of its points: ``(B,)`` and ``(B,)``,
+        nats. They replace the lines of the search."""
+        for k in self.alive:
+            self.mark(k, is_known=False)
+        self.lines, self.members, self.tails = [], [], []
+        gain, each = np.zeros(len(bars)), np.zeros(len(bars))
+        for middle, axis, length in zip(bars.middle, bars.direction, bars.length, strict=True):
+            self.take(self.along(middle, axis, 0.5 * length, grows=False))
+        for k, (middle, axis, length) in enumerate(zip(bars.middle, bars.direction, bars.length, strict=True)):
+            self.mark(k, is_known=False)
+            line = self.along(middle, axis, 0.5 * length, grows=False)
+            own = self.near(line, 0.0, self.tubes.radius[line.tube])
+            gain[k], count = line.gain, np.count_nonzero(self.cloud.owner[own] < 0)
+            each[k] = line.gain / count if count else 0.0
+            self.mark(k, is_known=True)
+        return gain, each
+
     def run(self) -> None:
         """Sweep until two in a row find nothing, polish, and search once more what that has set free."""
         tried = set[tuple[int, int]]()
-        for sweeps in (20, 3):
+        for sweeps in (SWEEPS, LAST_SWEEPS):
             idle = 0
             for turn in range(sweeps):
                 idle = 0 if self.sweep(turn) else idle + 1
-                if idle == 2:
+                if idle == IDLE:
                     break
             self.polish(tried)
 
 
-def spacing_of(points: Array) -> float:
-    """Median distance of points ``(N, 3)`` to their fourth neighbours, from twenty thousand of them."""
-    few = points[:: max(1, len(points) // 20_000)]
-    return float(
-        np.median(cKDTree(points, balanced_tree=False, compact_nodes=False).query(few, k=[min(5, len(points))])[0])
-    )
-
-
-def find_tubes(points: Array, radius: float, cell: float | None = None, cost: float = COST) -> tuple[Segments, Array]:
-    """The bars of a cloud, the best first, and what each gains ``(B,)``, nats (`COST`).
+def find_tubes(points: Array, radius: float, cell: float | None = None, cost: float = COST) -> TubeSearch:
+    """Search a cloud for its bars (`TubeSearch.found`).
 
     ``points (N, 3)``: metres, any frame, finite, without surfaces. ``radius``: that of the narrowest tube. ``cell``:
     length of the cells along it, by default twice the radius.
     """
-    if len(points) < POINTS_MIN:
-        return Segments.empty(), np.zeros(0)
     search = TubeSearch.of(points, radius, cell, cost)
     search.run()
-    found = [(search.line(k), search.members[k]) for k in search.alive]
-    ends = np.array([line.to(search.cloud.point[own]).ends for line, own in found]).reshape(-1, 2, 3)
-    count = np.array([search.cloud.weight[own].sum() for _, own in found], dtype=np.int64)
-    width = np.array([search.tubes.radius[line.tube] for line, _ in found])
-    return Segments(ends[:, 0], ends[:, 1], count, width), np.array([line.gain for line, _ in found])
-
-
-def gains_of(points: Array, bars: Segments, radius: float, cell: float | None = None) -> tuple[Array, Array]:
-    """What each of some bars gains beside the others, as in `find_tubes`, and how much of it each of its points:
-    ``(B,)`` and ``(B,)``, nats."""
-    gain, each = np.zeros(len(bars)), np.zeros(len(bars))
-    if len(points) < POINTS_MIN or not len(bars):
-        return gain, each
-    search = TubeSearch.of(points, radius, cell, COST)
-    for middle, axis, length in zip(bars.middle, bars.direction, bars.length, strict=True):
-        search.take(search.along(middle, axis, 0.5 * length, grows=False))
-    for k, (middle, axis, length) in enumerate(zip(bars.middle, bars.direction, bars.length, strict=True)):
-        search.mark(k, is_known=False)
-        line = search.along(middle, axis, 0.5 * length, grows=False)
-        own = search.near(line, 0.0, search.tubes.radius[line.tube])
-        gain[k], count = line.gain, np.count_nonzero(search.cloud.owner[own] < 0)
-        each[k] = line.gain / count if count else 0.0
-        search.mark(k, is_known=True)
-    return gain, each
+    return search

@@ -67,9 +67,9 @@ def segment_file(
     with ``scene``, also the interactive ``segments.html``.
 
     Ground, walls and other surfaces are recognised and left out (`steelnb.fusion.cloud_bars`). ``dx_m`` is the radius
-    of the tube that holds a bar's points (default: `default_tube`), ``confidence`` what a bar must gain, nats (default:
-    `COST`). With ``keep_all``, bars of no structure, and short ones that end at no other, are kept and drawn thin.
-    ``on_stage`` is told what goes on. ``unit`` and ``columns``: as for `read_cloud`, by default those of a
+    of the tube that holds a bar's points, and ``confidence`` what a bar must gain, nats; defaults are those of
+    `bars_of_cloud`. With ``keep_all``, bars of no structure, and short ones that end at no other, are kept and drawn
+    thin. ``on_stage`` is told what goes on. ``unit`` and ``columns``: as for `read_cloud`, by default those of a
     ``recording.toml`` beside the file.
 
     Raises the errors of `read_cloud`, `InputError` and `OutputError`; nothing is written then.
@@ -116,7 +116,7 @@ def segment_file(
         f"{100 * (1 - bar_share - on_surfaces):.0f} % on neither",
         f"written   {output}/: segments.csv, segments.png" + (", segments.html" if scene else ""),
     )
-    warnings = _warnings(found, explained, cloud)
+    warnings = _warnings(found, cost, explained, cloud)
     return SegmentReport(segments, found.confidence, found.width_m, dx, explained, on_surfaces, summary, warnings)
 
 
@@ -127,10 +127,10 @@ def _name(surface: Surface) -> str:
     return f"{kind} around ({', '.join(f'{x:.1f}' for x in surface.centre)}) m"
 
 
-def _warnings(found: CloudBars, explained: float, cloud: Cloud) -> tuple[str, ...]:
+def _warnings(found: CloudBars, cost: float, explained: float, cloud: Cloud) -> tuple[str, ...]:
     lines = list[str]()
     if not len(found.bars):
-        why = f"no line through the points is denser than what surrounds it, in tubes of {found.tube_m:.2g} m (--dx)"
+        why = f"no line gains {cost:g} nats in a tube of {found.tube_m:.2g} m (--confidence, --dx)"
         if len(found.steel) == 0:
             why = "all points lie on surfaces"
         elif found.apart:

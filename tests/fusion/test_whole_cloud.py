@@ -37,7 +37,7 @@ def sheets() -> dict[str, np.ndarray]:
 
 @pytest.mark.parametrize("name", list(sheets()))
 def test_surfaces_have_no_bars_and_scattered_points_few(name):
-    assert len(bars_of_cloud(sheets()[name]).bars) <= (3 if name == "ball" else 0)
+    assert len(bars_of_cloud(sheets()[name]).bars) <= (5 if name == "ball" else 0)
 
 
 @pytest.mark.parametrize("radius_m", [0.05, 0.2])
