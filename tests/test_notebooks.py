@@ -221,7 +221,7 @@ def test_the_structure_notebook_rebuilds_towers_and_hands_one_over(results, fold
     assert len(pd.read_csv(folder / "structure" / "timing.csv")) == len(table)
     committed = json.loads((ROOT / "results" / "structure" / "metrics.json").read_text())
     # A short flight sees most bars from one side alone, which tells less of their sections than a whole one.
-    for numbers, share, flights in ((metrics, 0.75, ["zigzag"]), (committed, 0.35, ["zigzag", "loops"])):
+    for numbers, share, flights in ((metrics, 1.0, ["zigzag"]), (committed, 0.35, ["zigzag", "loops"])):
         for flight in flights:
             axes = ("middle of points", "section fitted")
             middle, fitted = (abs(numbers[f"{flight}.near_side.{axis}.all.median_m"]) for axis in axes)

@@ -130,7 +130,10 @@ def _name(surface: Surface) -> str:
 def _warnings(found: CloudBars, cost: float, explained: float, cloud: Cloud) -> tuple[str, ...]:
     lines = list[str]()
     if not len(found.bars):
-        why = f"no line gains {cost:g} nats in a tube of {found.tube_m:.2g} m (--confidence, --dx)"
+        why = (
+            f"no line gains {cost:g} nats in a tube of {found.tube_m:.2g} m (--confidence, --dx), except short ones"
+            " that end at no other (--all)"
+        )
         if len(found.steel) == 0:
             why = "all points lie on surfaces"
         elif found.apart:
