@@ -66,6 +66,21 @@ class OdometryStep:
 
 
 @dataclass(frozen=True, eq=False)
+class MountEstimate:
+    """The mount of the sensor as a smoothed flight shows it.
+
+    ``T_drone_sensor (4, 4)``; ``late_s``: time by which stamps are later than the measurements; ``step (7,)``: rotation
+    vector (rad) and translation (m) in the frame of the drone from the stated mount, and the delay; ``covariance
+    (7, 7)`` of that step, with zeros for what is known, None if it is not determined.
+    """
+
+    T_drone_sensor: Array
+    late_s: float
+    step: Array
+    covariance: Array | None
+
+
+@dataclass(frozen=True, eq=False)
 class Estimate:
     """A corrected flight of K scans and the map built on the way.
 
@@ -80,7 +95,7 @@ class Estimate:
     pose) or of an odometry with an IMU, which knows the scans so far; and ``axis_covariance (M, 4, 4)`` of position and
     direction of each segment of a smoothed flight.
     ``unsure``: why a smoothed flight has no covariances, else empty. ``thickness`` of angle sections, a share of
-    their flanges, as estimated by smoothing, else None.
+    their flanges, as estimated by smoothing, else None. ``mount``: as estimated by smoothing, None if it is known.
     """
 
     prior: Trajectory
@@ -96,6 +111,7 @@ class Estimate:
     axis_covariance: Array | None = None
     unsure: str = ""
     thickness: float | None = None
+    mount: MountEstimate | None = None
     unobserved: IntArray = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
 
     def __post_init__(self) -> None:

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from steelnb.core.geometry import UPRIGHT_DOF, pose_step, tilt_of, yaw_of
+from steelnb.core.geometry import POSE_DOF, UPRIGHT_DOF, pose_step, tilt_of, yaw_of
 from steelnb.core.kernels import njit
 from steelnb.core.robust import weighted_geman_mcclure
 from steelnb.core.types import Array, IntArray
@@ -107,11 +107,13 @@ class PointEquations(NamedTuple):
 
 def linearised(problem: Problem, observations: Observations) -> PointEquations:
     """The normal equations of all points. Moving a pose has the same effect as moving its bars the opposite way, so the
-    blocks of poses follow from those of bars, pair by pair."""
+    blocks of poses follow from those of bars, pair by pair. The poses are those of the sensor, with all six degrees of
+    freedom if its mount is unknown."""
     T, bars, scan, bar = problem.T_world_sensor, problem.bars, observations.pair_scan, observations.pair_bar
     faces = start, direction, length, across, *_ = bars.faces()
     shares, rhs, residuals = _gathered(*observations, T, *faces, bars.flange, bars.thickness, problem.sigma_ratio)
-    size, sensor = pose_size(problem.tilt_sigma_rad), T[scan, :3, 3] - start[bar]
+    size = POSE_DOF if problem.mount else pose_size(problem.tilt_sigma_rad)
+    sensor = T[scan, :3, 3] - start[bar]
     by_pose = _bar_motion(sensor, direction[bar], length[bar], across[bar], size)
     cross, vector = by_pose @ shares, (by_pose @ rhs[:, :, None])[:, :, 0]
     return PointEquations(

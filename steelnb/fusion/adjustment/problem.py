@@ -26,6 +26,7 @@ from scipy.spatial.transform import Rotation
 from steelnb.core.geometry import POSE_DOF, UPRIGHT_DOF, moved_poses, yaw_of
 from steelnb.core.types import Array, IntArray, Segments
 from steelnb.fusion.adjustment.imu_factors import Inertial
+from steelnb.fusion.adjustment.mount import Mount
 from steelnb.fusion.sections import shapes
 
 BAR_DOF = 6
@@ -84,7 +85,7 @@ class Problem:
 
     ``T_world_sensor (K, 4, 4)``; ``sigma_ratio``: range noise as a multiple of that in `points.ranges`; ``fitted
     (B, 2)``: rotations and flanges of the bars as fitted to outlines; ``tilt_sigma_rad``: standard deviation of the
-    prior's roll and pitch, 0 if they are fixed; ``inertial``: None without an IMU.
+    prior's roll and pitch, 0 if they are fixed; ``inertial``: None without an IMU; ``mount``: None if it is known.
     """
 
     T_world_sensor: Array
@@ -93,30 +94,41 @@ class Problem:
     fitted: Array
     tilt_sigma_rad: float = 0.0
     inertial: Inertial | None = None
+    mount: Mount | None = None
 
-    def moved(self, state_step: Array, bar_step: Array, sigma_ratio: float, thickness: float) -> "Problem":
-        """After steps ``(K, D)`` of the states, D as in `solver.normal_equations`, and ``(B, 6)`` of the bars."""
-        pose_step = state_step[:, : pose_size(self.tilt_sigma_rad)]
+    @property
+    def poses(self) -> Array:
+        """The poses ``(K, 4, 4)`` that are unknowns: of the sensor, or of the drone if the mount is unknown."""
+        return self.mount.drones(self.T_world_sensor) if self.mount else self.T_world_sensor
+
+    def moved(
+        self, state_step: Array, bar_step: Array, mount_step: Array, sigma_ratio: float, thickness: float
+    ) -> "Problem":
+        """After steps ``(K, D)`` of the states, D as in `solver.normal_equations`, ``(B, 6)`` of the bars and ``(S,)``
+        of the mount."""
+        poses = moved_poses(self.poses, state_step[:, : pose_size(self.tilt_sigma_rad)])
+        mount = self.mount and self.mount.moved(mount_step)
         return replace(
-            self, T_world_sensor=moved_poses(self.T_world_sensor, pose_step),
+            self, T_world_sensor=poses @ mount.at_scans() if mount else poses, mount=mount,
             bars=replace(_moved_bars(self.bars, bar_step), thickness=thickness),
             inertial=self.inertial and self.inertial.moved(state_step), sigma_ratio=sigma_ratio,
         )  # fmt: skip
 
 
 def start(
-    T_world_sensor: Array, prior: Array, bars: Bars, tilt_sigma_rad: float = 0.0, inertial: Inertial | None = None
-) -> Problem:
+    T_world_sensor: Array, prior: Array, bars: Bars, tilt_sigma_rad: float = 0.0, inertial: Inertial | None = None,
+    mount: Mount | None = None,
+) -> Problem:  # fmt: skip
     """The state before the first step: poses ``(K, 4, 4)`` and bars, moved together by the yaw and translation that
-    take the first pose to that of the ``prior (K, 4, 4)``."""
-    T_correction = np.eye(4)
-    yaw = yaw_of(prior[0, :3, :3] @ T_world_sensor[0, :3, :3].T)
+    take the first pose to that of the ``prior (K, 4, 4)``, which is the drone's if there is a ``mount``."""
+    T_correction, first = np.eye(4), mount.drones(T_world_sensor)[0] if mount else T_world_sensor[0]
+    yaw = yaw_of(prior[0, :3, :3] @ first[:3, :3].T)
     T_correction[:3, :3] = R = Rotation.from_rotvec([0.0, 0.0, yaw]).as_matrix()
-    T_correction[:3, 3] = prior[0, :3, 3] - R @ T_world_sensor[0, :3, 3]
+    T_correction[:3, 3] = prior[0, :3, 3] - R @ first[:3, 3]
     corrected = replace(bars, segments=bars.segments.transformed(T_correction), across=bars.across @ R.T)
     fitted = np.column_stack([bars.turn, bars.flange])
     inertial = inertial and inertial.rotated(R)
-    return Problem(T_correction @ T_world_sensor, corrected, 1.0, fitted, tilt_sigma_rad, inertial)
+    return Problem(T_correction @ T_world_sensor, corrected, 1.0, fitted, tilt_sigma_rad, inertial, mount)
 
 
 def _moved_bars(bars: Bars, step: Array) -> Bars:

@@ -20,12 +20,13 @@ from scipy.linalg import cho_factor, cho_solve
 
 from steelnb.core.checks import check_same_stamps, checked_number
 from steelnb.core.errors import InputError
-from steelnb.core.estimates import Estimate
+from steelnb.core.estimates import Estimate, MountEstimate
 from steelnb.core.geometry import UPRIGHT_DOF
 from steelnb.core.types import Array, Flight, IntArray, Segments, Trajectory
 from steelnb.fusion.adjustment import problem
 from steelnb.fusion.adjustment.factors import ROBUST_SIGMAS, TILT_SIGMA_RAD, PointEquations, linearised, summed
 from steelnb.fusion.adjustment.imu_factors import Inertial, check_overlap
+from steelnb.fusion.adjustment.mount import MOUNT_DOF, Mount
 from steelnb.fusion.adjustment.problem import BAR_DOF, Bars, Problem, pose_size
 from steelnb.fusion.adjustment.solver import Chain, improve, normal_equations
 from steelnb.fusion.bars import TUBE_M
@@ -47,11 +48,13 @@ larger bound leaves too few points of the first scan, which fixes the world fram
 def adjust(
     scans: MappedScans, prior: Array, stamp_s: Array, stages: Stages, fits: int, every: int = 5, bars_min: int = 1,
     tilt_sigma_rad: float = 0.0, inertial: Inertial | None = None, before: Problem | None = None,
+    mount: Mount | None = None,
 ) -> tuple[Problem, PointEquations]:  # fmt: skip
     """Adjust the poses of scans and the bars of `BarFitter.find_and_fit` together; returns also the equations of the
     last step.
 
-    ``prior`` and ``stamp_s`` as for `solver.improve`, ``tilt_sigma_rad`` and ``inertial`` as for `Problem`. ``before``:
+    ``prior`` and ``stamp_s`` as for `solver.improve`, ``tilt_sigma_rad``, ``inertial`` and ``mount`` as for `Problem`;
+    with a ``mount``, ``prior`` and ``inertial`` are about the drone. ``before``:
     an earlier adjustment of the same flight, whose range noise and thickness are the first estimates. All steps of a
     stage use the same points. Without an earlier adjustment, these include points far from the front faces.
 
@@ -61,7 +64,7 @@ def adjust(
     bars = BarFitter(scans, thickness).find_and_fit(fits, every).bars
     if bars.has_section.sum() < bars_min:
         raise InputError("too few bars whose sections are known")
-    state = problem.start(scans.T_world_sensor, prior, bars, tilt_sigma_rad, inertial)
+    state = problem.start(scans.T_world_sensor, prior, bars, tilt_sigma_rad, inertial, mount)
     voxels = scans.around(bars.segments)
     for pixels, steps in stages:
         placed = replace(scans, T_world_sensor=state.T_world_sensor)
@@ -103,12 +106,14 @@ HOLD = 1e-6
 """Information added to keep the matrix of free poses positive definite: a standard deviation of 1 km."""
 
 
-def marginals(problem: Problem, equations: PointEquations, prior: Array, stamp_s: Array) -> tuple[Array, Array]:
+def marginals(
+    problem: Problem, equations: PointEquations, prior: Array, stamp_s: Array
+) -> tuple[Array, Array, Array]:
     """The marginal covariances of the state of an adjustment; the arguments are those of `solver.improve`.
 
-    Returns those of the steps of the sensor's poses ``(K, D, D)`` (`factors`), zero for the fixed first one; and
-    of the bars ``(B, 6, 6)``: position of the middle (2) and direction (2) in the frame ``across``, rotation and
-    flange. What no point determines has the standard deviation `problem.BAR_SIGMA`; for directions, 0.5 m per metre.
+    Returns those of the steps of the `Problem.poses` ``(K, D, D)`` (`factors`), zero for the fixed first one; of the
+    bars ``(B, 6, 6)``: position of the middle (2) and direction (2) in the frame ``across``, rotation and flange; and
+    of the unknowns of the mount ``(S, S)``. What no point determines has the standard deviation `problem.BAR_SIGMA`; for directions, 0.5 m per metre.
 
     Raises `InputError` with the free direction if a pose is not constrained.
     """
@@ -129,7 +134,8 @@ def marginals(problem: Problem, equations: PointEquations, prior: Array, stamp_s
         k = int(np.argmax(is_free))
         axis = AXES[np.argmax(np.abs(vector[k, :, -1])) - size]
         raise InputError(f"covariance of pose {k} is singular: nothing holds it, mostly along {axis}")
-    return pose, inverse.reshape(n, BAR_DOF, n, BAR_DOF)[range(n), :, range(n)]
+    by_bar = inverse[: BAR_DOF * n, : BAR_DOF * n].reshape(n, BAR_DOF, n, BAR_DOF)
+    return pose, by_bar[range(n), :, range(n)], inverse[BAR_DOF * n :, BAR_DOF * n :]
 
 
 def _with_displacements(equations: PointEquations, sigma_m: float) -> PointEquations:
@@ -203,8 +209,19 @@ def axis_sigma_m(covariance: Array, along_m: Array) -> Array:
 ROUNDS: tuple[tuple[int, Stages], ...] = ((1, ((8, 2),)), (2, ((8, 2), (1, 2))))
 """Number of times that sections are fitted, and stages, for each round. With half of the pixels in the last stage,
 aligned errors are larger by a fifth; with one fit of sections in both rounds, by half."""
+MOUNT_ROUNDS = (*ROUNDS, ROUNDS[-1])
+"""With an unknown mount, the bars of the first round are those of a wrong one."""
 BARS_MIN = 3
 """Minimum number of bars with a section."""
+
+
+def found_mount(mount: Mount, covariance: Array | None) -> MountEstimate:
+    """The estimate of a mount, given the ``covariance (S, S)`` of its unknowns."""
+    full = None
+    if covariance is not None:
+        full = np.zeros((MOUNT_DOF, MOUNT_DOF))
+        full[np.ix_(mount.free, mount.free)] = covariance
+    return MountEstimate(mount.T_drone_sensor, mount.late_s, mount.error, full)
 
 
 def smooth(
@@ -213,6 +230,7 @@ def smooth(
     settings: StructureSettings | None = None,
     tilt_sigma_rad: float = 0.0,
     imu: ImuSettings | None = None,
+    mount_sigma: Array | None = None,
 ) -> Estimate:
     """The estimate of a flight with all its poses and bars adjusted together (`adjustment.solver`).
 
@@ -223,6 +241,8 @@ def smooth(
     settings : of the bars, as for `reconstruct`.
     tilt_sigma_rad : standard deviation of the prior's roll and pitch; if 0, they are fixed.
     imu : errors from the IMU's data sheet; if given, its readings are factors (`imu_factors`).
+    mount_sigma : (7,), standard deviations of the flight's mount and of the delay of its stamps (`mount.Mount`); what
+        has 0, by default all, is known.
 
     Returns
     -------
@@ -238,36 +258,40 @@ def smooth(
     check_same_stamps(estimate.corrected.stamp_s, "estimate", flight.prior.stamp_s, "the scans of the flight")
     if (origin := flight.origin).any():
         near = flight.moved(-origin)
-        found = smooth(near, estimate.moved(-origin, near.prior), settings, tilt_sigma_rad, imu)
+        found = smooth(near, estimate.moved(-origin, near.prior), settings, tilt_sigma_rad, imu, mount_sigma)
         return found.moved(origin, estimate.prior)
-    stamp_s, mount = flight.prior.stamp_s, flight.T_drone_sensor
-    prior, T = flight.prior.T_world_drone @ mount, estimate.corrected.T_world_drone @ mount
-    before, inertial = None, None
+    stamp_s, T_drone_sensor = flight.prior.stamp_s, flight.T_drone_sensor
+    prior, T = flight.prior.T_world_drone @ T_drone_sensor, estimate.corrected.T_world_drone @ T_drone_sensor
+    before, inertial, mount, of_poses = None, None, None, T_drone_sensor
+    if mount_sigma is not None and np.any(mount_sigma):
+        prior, of_poses = flight.prior.T_world_drone, np.eye(4)
+        mount = Mount.started(T_drone_sensor, mount_sigma, prior, stamp_s)
     if imu is not None and flight.imu is not None:
         check_overlap(flight.imu, flight.prior)
-        inertial = Inertial.started(flight.imu, imu, mount, estimate.corrected)
+        inertial = Inertial.started(flight.imu, imu, of_poses, estimate.corrected)
         tilt_sigma_rad = tilt_sigma_rad or TILT_SIGMA_RAD
-    for fits, stages in ROUNDS:
+    for fits, stages in ROUNDS if mount is None else MOUNT_ROUNDS:
         try:
             scans = MappedScans.mapped(flight.scans, T, settings, every=3)
             state, equations = adjust(
                 scans, prior, stamp_s, stages, fits, bars_min=BARS_MIN, tilt_sigma_rad=tilt_sigma_rad,
-                inertial=inertial, before=before,
+                inertial=inertial, before=before, mount=mount,
             )  # fmt: skip
         except InputError as fault:
             return replace(estimate, unsmoothed=str(fault))
-        T, before, inertial = state.T_world_sensor, state, state.inertial
+        T, before, inertial, mount = state.T_world_sensor, state, state.inertial, state.mount
     bars = state.bars.take(state.bars.is_bar)
-    pose_covariance, axis_covariance, unsure = None, None, ""
+    poses = state.poses if mount else T
+    pose_covariance, axis_covariance, mount_covariance, unsure = None, None, None, ""
     try:
-        pose, bar = marginals(state, equations, prior, stamp_s)
-        pose_covariance = pose_covariances(pose, T, mount)
+        pose, bar, mount_covariance = marginals(state, equations, prior, stamp_s)
+        pose_covariance = pose_covariances(pose, poses, of_poses)
         pose_covariance = with_range_sigmas(pose_covariance, flight, T, settings)
         axis_covariance = axis_covariances(bar[state.bars.is_bar], bars.segments, bars.across, state.sigma_ratio)
     except InputError as fault:
         unsure = str(fault)
     return replace(
-        estimate, corrected=Trajectory(stamp_s, T @ np.linalg.inv(mount)), points=scans.voxels.means(),
+        estimate, corrected=Trajectory(stamp_s, poses @ np.linalg.inv(of_poses)), points=scans.voxels.means(),
         segments=bars.segments, unsmoothed="", pose_covariance=pose_covariance, axis_covariance=axis_covariance,
-        unsure=unsure, thickness=state.bars.thickness,
+        unsure=unsure, thickness=state.bars.thickness, mount=mount and found_mount(mount, mount_covariance),
     )  # fmt: skip

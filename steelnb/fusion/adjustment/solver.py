@@ -13,7 +13,8 @@ from steelnb.core.kernels import njit
 from steelnb.core.types import Array
 from steelnb.fusion.adjustment.factors import PointEquations, common_thickness, noise_ratio, prior_equations
 from steelnb.fusion.adjustment.imu_factors import STATE_DOF, ChainEquations
-from steelnb.fusion.adjustment.problem import BAR_DOF, BAR_SIGMA, Problem
+from steelnb.fusion.adjustment.mount import DroneEquations
+from steelnb.fusion.adjustment.problem import BAR_DOF, BAR_SIGMA, Problem, pose_size
 
 TINY = 1e-12
 """Smaller numbers count as zero. The contributions of a bar decay from pose to pose once it is out of view, and
@@ -31,30 +32,41 @@ def improve(problem: Problem, equations: PointEquations, prior: Array, stamp_s: 
     forward = chain.forward(np.concatenate([between, vector[:, :, None]], axis=2))
     flat = forward.reshape(-1, forward.shape[2])
     eliminated = flat.T @ flat
-    bar_step = cho_solve(cho_factor(bars - eliminated[:-1, :-1]), rhs.ravel() - eliminated[:-1, -1])
-    state_step = chain.backward((forward[:, :, -1] - forward[:, :, :-1] @ bar_step)[:, :, None])[:, :, 0]
+    step = cho_solve(cho_factor(bars - eliminated[:-1, :-1]), rhs - eliminated[:-1, -1])
+    state_step = chain.backward((forward[:, :, -1] - forward[:, :, :-1] @ step)[:, :, None])[:, :, 0]
+    bar_step, mount_step = np.split(step, [BAR_DOF * len(equations.block)])
     thickness, by_thickness = common_thickness(problem, equations)
     ratio = noise_ratio(equations.residuals, problem.sigma_ratio)
-    return problem.moved(state_step, bar_step.reshape(rhs.shape) + by_thickness, ratio, thickness)
+    bar_step = bar_step.reshape(-1, BAR_DOF) + by_thickness
+    return problem.moved(state_step, bar_step, mount_step, ratio, thickness)
 
 
 def normal_equations(
     problem: Problem, equations: PointEquations, prior: Array, stamp_s: Array
 ) -> tuple[ChainEquations, Array, Array, Array]:
-    """The normal equations of all factors: those of the states of K scans, the block ``(K, D, 6 B)`` between states and
-    bars, and the matrix ``(6 B, 6 B)`` and vector ``(B, 6)`` of the bars. For the arguments see `improve`.
+    """The normal equations of all factors: those of the states of K scans, the block ``(K, D, 6 B + S)`` between states
+    and what they share, and the matrix ``(6 B + S, 6 B + S)`` and vector ``(6 B + S,)`` of the latter: the bars, then S
+    unknowns of the mount. For the arguments see `improve`.
 
     A state is a pose, D = 4 or 6; with an IMU it includes velocity and biases, D = 15.
     """
-    T, inertial, rhs = problem.T_world_sensor, problem.inertial, equations.rhs[:, :BAR_DOF].copy()
+    T, inertial, mount, rhs = problem.poses, problem.inertial, problem.mount, equations.rhs[:, :BAR_DOF].copy()
+    points: PointEquations | DroneEquations = equations
+    if mount:
+        points = mount.of_drone(equations, problem.T_world_sensor, pose_size(problem.tilt_sigma_rad))
     bars = block_diag(*(equations.block[:, :BAR_DOF, :BAR_DOF] + np.diag(BAR_SIGMA**-2.0)))
     from_fitted = np.column_stack([problem.bars.turn, problem.bars.flange]) - problem.fitted
     rhs[:, 4:] -= np.nan_to_num(from_fitted) * BAR_SIGMA[4:] ** -2.0  # NaN if a section has none
     chain = prior_equations(T, prior, stamp_s, problem.tilt_sigma_rad, inertial is None)
-    matrix, beside, vector = chain.matrix + equations.matrix, chain.beside, chain.vector + equations.vector
+    matrix, beside, vector = chain.matrix + points.matrix, chain.beside, chain.vector + points.vector
     between = np.zeros((*vector.shape, *rhs.shape))
-    between[equations.pair_scan, :, equations.pair_bar] = equations.cross[:, :, :BAR_DOF]
-    between = between.reshape(*vector.shape, -1)
+    between[equations.pair_scan, :, equations.pair_bar] = points.cross[:, :, :BAR_DOF]
+    between, rhs = between.reshape(*vector.shape, -1), rhs.ravel()
+    if isinstance(points, DroneEquations):
+        shared = points.shared
+        by_bar = shared.by_bar[:, :BAR_DOF].reshape(len(rhs), -1)
+        between = np.concatenate([between, shared.by_pose], axis=2)
+        bars, rhs = np.block([[bars, by_bar], [by_bar.T, shared.matrix]]), np.append(rhs, shared.vector)
     if inertial is not None:
         by_imu, padding = inertial.equations(T), (0, STATE_DOF - matrix.shape[1])
         matrix, beside = (np.pad(each, ((0, 0), padding, padding)) for each in (matrix, beside))

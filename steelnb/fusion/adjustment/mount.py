@@ -1,0 +1,168 @@
+"""The mount of the sensor on the drone, and the delay of its stamps, as unknowns of an adjustment.
+
+All scans share them: the rotation of the sensor about its own position and its translation, in the frame of the drone,
+and the time by which stamps are later than the measurement. Poses are then those of the drone at the stamps. A scan
+was taken at another one, which the motion of the prior leads to, and from there by the mount:
+
+    T_world_sensor = T_world_drone · T_prior(stamp)⁻¹ · T_prior(stamp − late) · T_drone_sensor
+
+So points depend on the mount, and the factors of the prior and of an IMU do not. The equations of points about the
+poses of the sensor are converted to those of the drone (`Mount.of_drone`), by the chain rule. Sources: Kelly, Sukhatme,
+"Visual-inertial sensor fusion: localization, mapping and sensor-to-sensor self-calibration" (IJRR 30, 2011); for the
+delay Li, Mourikis, "Online temporal calibration for camera-IMU systems" (IJRR 33, 2014).
+"""
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from steelnb.core.geometry import inverse_poses, rotation_between
+from steelnb.core.types import Array, IntArray
+
+if TYPE_CHECKING:  # which imports this module
+    from steelnb.fusion.adjustment.factors import PointEquations
+
+MOUNT_DOF = 7
+"""Rotation (rad) and translation (m) of the sensor, axes of the drone, and the delay (s) of its stamps."""
+STEP_S = 1e-3
+"""Step of the numerical derivative by the delay."""
+
+
+class SharedEquations(NamedTuple):
+    """Normal equations of S unknowns that all scans share: ``matrix (S, S)`` and ``vector (S,)``, and the blocks
+    between them and the poses ``by_pose (K, D, S)`` and the bars ``by_bar (B, 7, S)``."""
+
+    matrix: Array
+    vector: Array
+    by_pose: Array
+    by_bar: Array
+
+
+class DroneEquations(NamedTuple):
+    """Normal equations of points about K poses of the drone, ``matrix (K, D, D)`` and ``vector (K, D)``, with the
+    blocks ``cross (P, D, 7)`` of pairs with bars, and the ``shared`` ones of the mount."""
+
+    matrix: Array
+    vector: Array
+    cross: Array
+    shared: SharedEquations
+
+
+@dataclass(frozen=True)
+class Mount:
+    """The mount of the sensor in an adjustment of K scans.
+
+    ``stated (4, 4)``: the mount that was stated, with the standard deviations ``sigma (7,)`` of its error in the order
+    of `MOUNT_DOF`; what has 0 is known. ``T_drone_sensor (4, 4)`` and ``late_s``: the present estimate. ``prior
+    (K, 4, 4)``: the drifting poses of the drone at ``stamp_s (K,)``.
+    """
+
+    stated: Array
+    sigma: Array
+    prior: Array
+    stamp_s: Array
+    T_drone_sensor: Array
+    late_s: float = 0.0
+
+    @classmethod
+    def started(cls, stated: Array, sigma: Array, prior: Array, stamp_s: Array) -> "Mount":
+        """Start at the stated mount without a delay."""
+        return cls(stated, np.asarray(sigma, dtype=float), prior, stamp_s, stated)
+
+    @property
+    def free(self) -> IntArray:
+        """Numbers of the unknowns ``(S,)`` that have a standard deviation."""
+        return np.flatnonzero(self.sigma)
+
+    @property
+    def error(self) -> Array:
+        """The step ``(7,)`` from the stated mount to the present one."""
+        turn = rotation_between(self.stated[:3, :3], self.T_drone_sensor[:3, :3])
+        return np.concatenate([turn, (self.T_drone_sensor - self.stated)[:3, 3], [self.late_s]])
+
+    def moved(self, step: Array) -> "Mount":
+        """After a step ``(S,)`` of the unknowns."""
+        full, T = np.zeros(MOUNT_DOF), self.T_drone_sensor.copy()
+        full[self.free] = step
+        T[:3, :3] = Rotation.from_rotvec(full[:3]).as_matrix() @ T[:3, :3]
+        T[:3, 3] += full[3:6]
+        return replace(self, T_drone_sensor=T, late_s=self.late_s + float(full[6]))
+
+    def at_scans(self, later_s: float = 0.0) -> Array:
+        """Poses ``(K, 4, 4)`` of the sensor at each scan in the frame of the drone at its stamp, for a delay that is
+        longer by ``later_s``."""
+        late_s = self.late_s + later_s
+        if not late_s and not self.sigma[6]:
+            return np.tile(self.T_drone_sensor, (len(self.stamp_s), 1, 1))
+        return inverse_poses(self.prior) @ poses_between(self.stamp_s, self.prior, -late_s) @ self.T_drone_sensor
+
+    def drones(self, T_world_sensor: Array) -> Array:
+        """Poses ``(K, 4, 4)`` of the drone at the stamps, from those of the sensor."""
+        return T_world_sensor @ inverse_poses(self.at_scans())
+
+    def of_drone(self, equations: "PointEquations", T_world_sensor: Array, size: int) -> DroneEquations:
+        """Convert equations about the six degrees of freedom of the sensor's poses to those about the ``size`` of the
+        drone's and the unknowns of the mount, with their prior."""
+        matrix, vector, cross, scan = equations.matrix, equations.vector, equations.cross, equations.pair_scan
+        by_drone, by_mount = self._jacobians(T_world_sensor)
+        by_drone, by_mount = by_drone[:, :, 6 - size :], by_mount[:, :, self.free]
+        turned, shared = by_drone.transpose(0, 2, 1), by_mount.transpose(0, 2, 1)
+        by_bar = np.zeros((len(equations.block), cross.shape[2], len(self.free)))
+        np.add.at(by_bar, equations.pair_bar, cross.transpose(0, 2, 1) @ by_mount[scan])
+        information = self.sigma[self.free] ** -2.0
+        return DroneEquations(
+            matrix=turned @ matrix @ by_drone,
+            vector=(turned @ vector[:, :, None])[:, :, 0],
+            cross=turned[scan] @ cross,
+            shared=SharedEquations(
+                matrix=(shared @ matrix @ by_mount).sum(axis=0) + np.diag(information),
+                vector=(shared @ vector[:, :, None])[:, :, 0].sum(axis=0) - information * self.error[self.free],
+                by_pose=turned @ matrix @ by_mount,
+                by_bar=by_bar,
+            ),
+        )
+
+    def _jacobians(self, T_world_sensor: Array) -> tuple[Array, Array]:
+        """Derivatives of the steps of the sensor's poses by those of the drone's ``(K, 6, 6)`` and of the mount
+        ``(K, 6, 7)``."""
+        mounts = self.at_scans()
+        T_world_drone = T_world_sensor @ inverse_poses(mounts)
+        arm = T_world_sensor[:, :3, 3] - T_world_drone[:, :3, 3]
+        by_drone = np.tile(np.eye(6), (len(arm), 1, 1))
+        for axis in range(3):
+            by_drone[:, 3:, axis] = np.cross(np.eye(3)[axis], arm)
+        # Rotation of the drone when the scan was taken.
+        R = T_world_sensor[:, :3, :3] @ self.T_drone_sensor[:3, :3].T
+        by_mount = np.zeros((len(arm), 6, MOUNT_DOF))
+        by_mount[:, :3, :3] = by_mount[:, 3:, 3:6] = R
+        if self.sigma[6]:
+            earlier, later = (T_world_drone @ self.at_scans(step_s) for step_s in (-STEP_S, STEP_S))
+            turn = Rotation.from_matrix(later[:, :3, :3] @ earlier[:, :3, :3].transpose(0, 2, 1)).as_rotvec()
+            by_mount[:, :, 6] = np.hstack([turn, later[:, :3, 3] - earlier[:, :3, 3]]) / (2 * STEP_S)
+        return by_drone, by_mount
+
+
+def poses_between(stamp_s: Array, T: Array, shift_s: float) -> Array:
+    """Poses ``(K, 4, 4)`` at ``stamp_s + shift_s``, from those of ``T (K, 4, 4)`` at ``stamp_s (K,)``.
+
+    Steps from the pose of each stamp: its rotation vector and shift are the parabola through the steps to both
+    neighbours, which also serves beyond them for short shifts.
+    """
+    if len(stamp_s) < 3 or not shift_s:
+        return T.copy()
+    centre = np.clip(np.arange(len(stamp_s)), 1, len(stamp_s) - 2)
+    at_s = stamp_s + shift_s - stamp_s[centre]
+    before_s, after_s = stamp_s[centre - 1] - stamp_s[centre], stamp_s[centre + 1] - stamp_s[centre]
+    share_before = at_s * (at_s - after_s) / (before_s * (before_s - after_s))
+    share_after = at_s * (at_s - before_s) / (after_s * (after_s - before_s))
+    result = T[centre].copy()
+    turn, shift = np.zeros((2, len(T), 3))
+    for other, share in ((centre - 1, share_before), (centre + 1, share_after)):
+        rotation = T[other, :3, :3] @ T[centre, :3, :3].transpose(0, 2, 1)
+        turn += share[:, None] * Rotation.from_matrix(rotation).as_rotvec()
+        shift += share[:, None] * (T[other, :3, 3] - T[centre, :3, 3])
+    result[:, :3, :3] = Rotation.from_rotvec(turn).as_matrix() @ result[:, :3, :3]
+    result[:, :3, 3] += shift
+    return result
