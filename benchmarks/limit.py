@@ -27,8 +27,10 @@ from steelnb.simulation.tower import Tower
 
 POSE = 4
 """x, y, z in the world, and yaw about the vertical through the drone."""
-MOUNT = 7
-"""Rotation and translation of the sensor in the frame of the drone, and the delay of its stamps."""
+MOUNT, WORLD = 7, 3
+"""Rotation and translation of the sensor in the frame of the drone, and the delay of its stamps; and a rotation of all
+surfaces, whose directions are otherwise known: with an unknown mount, no scan tells it."""
+WORLD_SIGMA_RAD = 1.0
 PATCH_M, INCIDENCE_MAX_RAD = 0.1, np.radians(80.0)
 """Edge of the cubes that cut the faces of the tower into patches, each with its own shift. Returns at a larger angle of
 incidence are dropped, since the spot of a pixel is not a point there."""
@@ -51,8 +53,8 @@ class Information(NamedTuple):
 
 
 def seen(tower: Tower, T_world_drone: Array, tof: TofSettings, twist: Array) -> Iterator[tuple[Array, IntArray]]:
-    """For each scan of a tower without ground from true poses ``(K, 4, 4)``: derivatives ``(N, 12)`` of the ranges by x,
-    y, z and yaw of the drone, by `MOUNT` and by the shift of the face, divided by the range noise; and patch numbers
+    """For each scan of a tower without ground from true poses ``(K, 4, 4)``: derivatives ``(N, 15)`` of the ranges by x,
+    y, z and yaw of the drone, by `MOUNT`, by `WORLD` and by the shift of the face, divided by the range noise; and patch numbers
     ``(N,)``. ``twist (K, 6)``: angular rate and velocity of the drone, world frame.
     """
     scene, ray = make_scene(tower), rays(tof).reshape(-1, 3)
@@ -78,8 +80,9 @@ def seen(tower: Tower, T_world_drone: Array, tof: TofSettings, twist: Array) -> 
         turn = np.cross(points - drone[:3, 3], n)  # by rotations of the drone about the world's axes
         at_sensor = np.cross(points - T[:3, 3], n) @ drone[:3, :3]
         late = turn @ moving[:3] + n @ moving[3:]
+        world = np.cross(points, n)
         sigma_m = np.maximum(tof.sigma_floor_m, tof.sigma_relative * distance)
-        gradient = np.column_stack([-n, -turn[:, 2], -at_sensor, -n @ drone[:3, :3], late, np.ones(len(n))]) / (slope * sigma_m)[:, None]
+        gradient = np.column_stack([-n, -turn[:, 2], -at_sensor, -n @ drone[:3, :3], late, world, np.ones(len(n))]) / (slope * sigma_m)[:, None]
         cell = ((points - low) / PATCH_M).astype(int)
         yield gradient, np.ravel_multi_index((face[triangle[kept]], *cell.T), shape)
 
@@ -88,8 +91,8 @@ def gather(scans: Iterator[tuple[Array, IntArray]]) -> Information:
     """Fisher information of the returns of K scans about their poses ``(K, 4, 4)`` and the patches of the surface.
 
     Pairs of a patch and a scan that sees it are sorted by patch, from ``first[p]`` to ``first[p + 1] - 1``, then by
-    ``scan (N,)``. ``cross (N, 11)`` couples pose and `MOUNT` and the shift of the patch; ``shift (N,)`` is of the shift
-    alone. ``shared (K, 11, 7)`` is about pose and mount, and the mount.
+    ``scan (N,)``. ``cross (N, 14)`` couples pose, `MOUNT` and `WORLD` and the shift of the patch; ``shift (N,)`` is of the
+    shift alone. ``shared (K, 14, 10)`` is about pose, mount and world, and the last two.
     """
     both, patches, numbers, sums = [], [], [], []
     for k, (g, patch_of) in enumerate(scans):
@@ -143,15 +146,15 @@ def eliminate(matrix, poses, first, scan, cross, shift):  # type: ignore[no-unty
 
 
 def mount_equations(information: Information) -> tuple[Array, Array]:
-    """Information ``(4 K, 7)`` about poses and `MOUNT` and ``(7, 7)`` about the mount alone, of all scans, after the
-    shifts of the patches are eliminated."""
+    """Information ``(4 K, 10)`` about poses, `MOUNT` and `WORLD` and ``(10, 10)`` about the last two, of all scans, after
+    the shifts of the patches are eliminated."""
     first, scan, cross = information.first, information.scan, information.cross
     total, by_patch = (np.add.reduceat(each, first[:-1]) for each in (information.shift, cross[:, POSE:]))
     patch = np.repeat(np.arange(len(first) - 1), np.diff(first))
     by_pose = information.shared[:, :POSE].copy()
     np.subtract.at(by_pose, scan, cross[:, :POSE, None] * (by_patch / total[:, None])[patch][:, None])
     alone = information.shared[:, POSE:].sum(axis=0) - by_patch.T @ (by_patch / total[:, None])
-    return by_pose.reshape(-1, MOUNT), alone
+    return by_pose.reshape(-1, MOUNT + WORLD), alone
 
 
 def mount_bound(
@@ -163,15 +166,16 @@ def mount_bound(
     inverse = lapack.dpotri(cholesky(matrix, lower=True, check_finite=False), lower=1)[0]
     inverse = np.tril(inverse) + np.tril(inverse, -1).T
     by_pose, alone = mount_equations(information)
-    free = np.flatnonzero(mount_sigma)
+    prior = np.append(mount_sigma, np.full(WORLD, WORLD_SIGMA_RAD if mount_sigma.any() else 0.0))
+    free = np.flatnonzero(prior)
     gain = inverse @ by_pose[POSE:, free]
-    schur = alone[np.ix_(free, free)] + np.diag(mount_sigma[free] ** -2.0) - by_pose[POSE:, free].T @ gain
+    schur = alone[np.ix_(free, free)] + np.diag(prior[free] ** -2.0) - by_pose[POSE:, free].T @ gain
     covariance = np.linalg.inv(schur)
     variance = np.diag(inverse) + ((gain @ covariance) * gain).sum(axis=1)
-    sigma = np.zeros(MOUNT)
+    sigma = np.zeros(MOUNT + WORLD)
     sigma[free] = np.sqrt(np.diag(covariance))
     position = np.append(0.0, variance.reshape(-1, POSE)[:, :3].sum(axis=1))
-    return float(1e3 * np.sqrt(position.mean())), sigma
+    return float(1e3 * np.sqrt(position.mean())), sigma[:MOUNT]
 
 
 def flight_information(truth: Truth, settings: ExperimentSettings, stamp_s: Array) -> Information:

@@ -101,10 +101,10 @@ def redrift(settings: ExperimentSettings, flight: Flight, truth: Truth) -> Fligh
     seen, seed = truth.trajectory, settings.seed
     if settings.imu and flight.imu:
         seen = filtered_attitude(seen, flight.imu)
-    prior = drifting(seen, settings.noise, seed).at(flight.prior.stamp_s)
+    path = drifting(seen, settings.noise, seed)
     by_images = isinstance(settings.odometry, OrbSettings)
     images = photograph(truth.tower, truth.trajectory, FORWARD, seed) if by_images else None
-    return replace(flight, prior=prior, images=images)
+    return replace(flight, prior=path.at(flight.prior.stamp_s), path=path, images=images)
 
 
 def estimate(

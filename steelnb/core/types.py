@@ -231,7 +231,8 @@ class Flight:
     ``scans``: K scans in the sensor frame, in memory or on disk; ``prior``: the drifting poses of the drone at the
     scans; ``T_drone_sensor (4, 4)``: the sensor's mount; ``imu`` and ``images`` may be None; ``name``: for titles and
     files; ``facts``: the source of each part of a recording; ``skipped``: number of messages or files left out, by
-    reason; ``range_sigmas``: standard deviations of scale and offset (m) of calibrated ranges, zero if unknown.
+    reason; ``range_sigmas``: standard deviations of scale and offset (m) of calibrated ranges, zero if unknown;
+    ``path``: the drifting poses at their own rate, if they are more than those at the scans.
     """
 
     scans: Sequence[Scan]
@@ -243,6 +244,7 @@ class Flight:
     skipped: Mapping[str, int] = field(default_factory=dict)
     images: CameraImages | None = None
     range_sigmas: tuple[float, float] = (0.0, 0.0)
+    path: Trajectory | None = None
 
     def __post_init__(self) -> None:
         sigmas = checks.checked_array(self.range_sigmas, "Flight.range_sigmas", (2,)).tolist()
@@ -275,7 +277,7 @@ class Flight:
     def moved(self, by: Array) -> "Flight":
         """The same flight with its poses translated by ``by (3,)``, metres; the same object if that is zero."""
         prior = self.prior.moved(by)
-        return self if prior is self.prior else replace(self, prior=prior)
+        return self if prior is self.prior else replace(self, prior=prior, path=self.path and self.path.moved(by))
 
     def first(self, count: int) -> "Flight":
         """The first ``count`` scans of the flight."""

@@ -88,7 +88,7 @@ def open_flight(path: Path, options: RecordingOptions, T_drone_sensor: Array | N
     if len(faults) == len(found):
         raise InputError(f"{path}: none of {len(found)} scans can be read; the first: {faults[0]}")
     counts = {reason: count for reason, count in skipped.items() if count}
-    return Flight(found, poses_at, T_mount, imu, display_name(path.resolve()), facts, counts)
+    return Flight(found, poses_at, T_mount, imu, display_name(path.resolve()), facts, counts, path=prior)
 
 
 def _of_folder(path: Path, options: RecordingOptions) -> Recorded:

@@ -19,15 +19,15 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from steelnb.core.geometry import inverse_poses, rotation_between
-from steelnb.core.types import Array, IntArray
+from steelnb.core.types import Array, Flight, IntArray, Trajectory
 
 if TYPE_CHECKING:  # which imports this module
     from steelnb.fusion.adjustment.factors import PointEquations
 
 MOUNT_DOF = 7
 """Rotation (rad) and translation (m) of the sensor, axes of the drone, and the delay (s) of its stamps."""
-STEP_S = 1e-3
-"""Step of the numerical derivative by the delay."""
+STEP_S = 0.02
+"""Step of the numerical derivative by the delay. A drifting path is rough over shorter times."""
 
 
 class SharedEquations(NamedTuple):
@@ -55,21 +55,22 @@ class Mount:
     """The mount of the sensor in an adjustment of K scans.
 
     ``stated (4, 4)``: the mount that was stated, with the standard deviations ``sigma (7,)`` of its error in the order
-    of `MOUNT_DOF`; what has 0 is known. ``T_drone_sensor (4, 4)`` and ``late_s``: the present estimate. ``prior
-    (K, 4, 4)``: the drifting poses of the drone at ``stamp_s (K,)``.
+    of `MOUNT_DOF`; what has 0 is known. ``T_drone_sensor (4, 4)`` and ``late_s``: the present estimate. ``prior``:
+    the drifting poses of the drone at the K scans, and ``path`` those at their own rate.
     """
 
     stated: Array
     sigma: Array
-    prior: Array
-    stamp_s: Array
+    prior: Trajectory
+    path: Trajectory
     T_drone_sensor: Array
     late_s: float = 0.0
 
     @classmethod
-    def started(cls, stated: Array, sigma: Array, prior: Array, stamp_s: Array) -> "Mount":
-        """Start at the stated mount without a delay."""
-        return cls(stated, np.asarray(sigma, dtype=float), prior, stamp_s, stated)
+    def started(cls, flight: Flight, sigma: Array) -> "Mount":
+        """Start at the stated mount of a flight without a delay."""
+        stated, path = flight.T_drone_sensor, flight.prior if flight.path is None else flight.path
+        return cls(stated, np.asarray(sigma, dtype=float), flight.prior, path, stated)
 
     @property
     def free(self) -> IntArray:
@@ -93,10 +94,10 @@ class Mount:
     def at_scans(self, later_s: float = 0.0) -> Array:
         """Poses ``(K, 4, 4)`` of the sensor at each scan in the frame of the drone at its stamp, for a delay that is
         longer by ``later_s``."""
-        late_s = self.late_s + later_s
-        if not late_s and not self.sigma[6]:
-            return np.tile(self.T_drone_sensor, (len(self.stamp_s), 1, 1))
-        return inverse_poses(self.prior) @ poses_between(self.stamp_s, self.prior, -late_s) @ self.T_drone_sensor
+        if not self.sigma[6]:
+            return np.tile(self.T_drone_sensor, (len(self.prior), 1, 1))
+        measured = self.path.between(self.prior.stamp_s - self.late_s - later_s)
+        return inverse_poses(self.prior.T_world_drone) @ measured @ self.T_drone_sensor
 
     def drones(self, T_world_sensor: Array) -> Array:
         """Poses ``(K, 4, 4)`` of the drone at the stamps, from those of the sensor."""
@@ -142,27 +143,3 @@ class Mount:
             turn = Rotation.from_matrix(later[:, :3, :3] @ earlier[:, :3, :3].transpose(0, 2, 1)).as_rotvec()
             by_mount[:, :, 6] = np.hstack([turn, later[:, :3, 3] - earlier[:, :3, 3]]) / (2 * STEP_S)
         return by_drone, by_mount
-
-
-def poses_between(stamp_s: Array, T: Array, shift_s: float) -> Array:
-    """Poses ``(K, 4, 4)`` at ``stamp_s + shift_s``, from those of ``T (K, 4, 4)`` at ``stamp_s (K,)``.
-
-    Steps from the pose of each stamp: its rotation vector and shift are the parabola through the steps to both
-    neighbours, which also serves beyond them for short shifts.
-    """
-    if len(stamp_s) < 3 or not shift_s:
-        return T.copy()
-    centre = np.clip(np.arange(len(stamp_s)), 1, len(stamp_s) - 2)
-    at_s = stamp_s + shift_s - stamp_s[centre]
-    before_s, after_s = stamp_s[centre - 1] - stamp_s[centre], stamp_s[centre + 1] - stamp_s[centre]
-    share_before = at_s * (at_s - after_s) / (before_s * (before_s - after_s))
-    share_after = at_s * (at_s - before_s) / (after_s * (after_s - before_s))
-    result = T[centre].copy()
-    turn, shift = np.zeros((2, len(T), 3))
-    for other, share in ((centre - 1, share_before), (centre + 1, share_after)):
-        rotation = T[other, :3, :3] @ T[centre, :3, :3].transpose(0, 2, 1)
-        turn += share[:, None] * Rotation.from_matrix(rotation).as_rotvec()
-        shift += share[:, None] * (T[other, :3, 3] - T[centre, :3, 3])
-    result[:, :3, :3] = Rotation.from_rotvec(turn).as_matrix() @ result[:, :3, :3]
-    result[:, :3, 3] += shift
-    return result

@@ -265,7 +265,7 @@ def smooth(
     before, inertial, mount, of_poses = None, None, None, T_drone_sensor
     if mount_sigma is not None and np.any(mount_sigma):
         prior, of_poses = flight.prior.T_world_drone, np.eye(4)
-        mount = Mount.started(T_drone_sensor, mount_sigma, prior, stamp_s)
+        mount = Mount.started(flight, mount_sigma)
     if imu is not None and flight.imu is not None:
         check_overlap(flight.imu, flight.prior)
         inertial = Inertial.started(flight.imu, imu, of_poses, estimate.corrected)
