@@ -26,6 +26,10 @@ if TYPE_CHECKING:  # which imports this module
 
 MOUNT_DOF = 7
 """Rotation (rad) and translation (m) of the sensor, axes of the drone, and the delay (s) of its stamps."""
+WORLD_DOF = 6
+"""Rotation (rad) about zero and translation (m) of all bars together. An unknown mount turns the whole map, and the
+priors of the bars, which limit their own steps, must not hold it."""
+WORLD_SIGMA = 1e3
 STEP_S = 0.02
 """Step of the numerical derivative by the delay. A drifting path is rough over shorter times."""
 
@@ -74,7 +78,7 @@ class Mount:
 
     @property
     def free(self) -> IntArray:
-        """Numbers of the unknowns ``(S,)`` that have a standard deviation."""
+        """Numbers of the unknowns that have a standard deviation."""
         return np.flatnonzero(self.sigma)
 
     @property
@@ -84,7 +88,7 @@ class Mount:
         return np.concatenate([turn, (self.T_drone_sensor - self.stated)[:3, 3], [self.late_s]])
 
     def moved(self, step: Array) -> "Mount":
-        """After a step ``(S,)`` of the unknowns."""
+        """After a step of the `free` unknowns."""
         full, T = np.zeros(MOUNT_DOF), self.T_drone_sensor.copy()
         full[self.free] = step
         T[:3, :3] = Rotation.from_rotvec(full[:3]).as_matrix() @ T[:3, :3]
@@ -105,21 +109,23 @@ class Mount:
 
     def of_drone(self, equations: "PointEquations", T_world_sensor: Array, size: int) -> DroneEquations:
         """Convert equations about the six degrees of freedom of the sensor's poses to those about the ``size`` of the
-        drone's and the unknowns of the mount, with their prior."""
+        drone's and S shared unknowns: the `free` ones of the mount, and `WORLD_DOF`, with their priors."""
         matrix, vector, cross, scan = equations.matrix, equations.vector, equations.cross, equations.pair_scan
         by_drone, by_mount = self._jacobians(T_world_sensor)
-        by_drone, by_mount = by_drone[:, :, 6 - size :], by_mount[:, :, self.free]
+        by_mount = np.concatenate([by_mount[:, :, self.free], _by_world(T_world_sensor)], axis=2)
+        by_drone = by_drone[:, :, 6 - size :]
         turned, shared = by_drone.transpose(0, 2, 1), by_mount.transpose(0, 2, 1)
-        by_bar = np.zeros((len(equations.block), cross.shape[2], len(self.free)))
+        by_bar = np.zeros((len(equations.block), cross.shape[2], by_mount.shape[2]))
         np.add.at(by_bar, equations.pair_bar, cross.transpose(0, 2, 1) @ by_mount[scan])
-        information = self.sigma[self.free] ** -2.0
+        error = np.append(self.error[self.free], np.zeros(WORLD_DOF))
+        information = np.append(self.sigma[self.free], np.full(WORLD_DOF, WORLD_SIGMA)) ** -2.0
         return DroneEquations(
             matrix=turned @ matrix @ by_drone,
             vector=(turned @ vector[:, :, None])[:, :, 0],
             cross=turned[scan] @ cross,
             shared=SharedEquations(
                 matrix=(shared @ matrix @ by_mount).sum(axis=0) + np.diag(information),
-                vector=(shared @ vector[:, :, None])[:, :, 0].sum(axis=0) - information * self.error[self.free],
+                vector=(shared @ vector[:, :, None])[:, :, 0].sum(axis=0) - information * error,
                 by_pose=turned @ matrix @ by_mount,
                 by_bar=by_bar,
             ),
@@ -143,3 +149,11 @@ class Mount:
             turn = Rotation.from_matrix(later[:, :3, :3] @ earlier[:, :3, :3].transpose(0, 2, 1)).as_rotvec()
             by_mount[:, :, 6] = np.hstack([turn, later[:, :3, 3] - earlier[:, :3, 3]]) / (2 * STEP_S)
         return by_drone, by_mount
+
+
+def _by_world(T_world_sensor: Array) -> Array:
+    """Derivatives ``(K, 6, 6)`` of the apparent steps of the sensor's poses by the motion of all bars: the opposite."""
+    result = np.tile(-np.eye(6), (len(T_world_sensor), 1, 1))
+    for axis in range(3):
+        result[:, 3:, axis] = -np.cross(np.eye(3)[axis], T_world_sensor[:, :3, 3])
+    return result

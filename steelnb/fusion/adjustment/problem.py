@@ -23,10 +23,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from steelnb.core.geometry import POSE_DOF, UPRIGHT_DOF, moved_poses, yaw_of
+from steelnb.core.geometry import POSE_DOF, UPRIGHT_DOF, exp_about, moved_poses, yaw_of
 from steelnb.core.types import Array, IntArray, Segments
 from steelnb.fusion.adjustment.imu_factors import Inertial
-from steelnb.fusion.adjustment.mount import Mount
+from steelnb.fusion.adjustment.mount import WORLD_DOF, Mount
 from steelnb.fusion.sections import shapes
 
 BAR_DOF = 6
@@ -105,13 +105,17 @@ class Problem:
         self, state_step: Array, bar_step: Array, mount_step: Array, sigma_ratio: float, thickness: float
     ) -> "Problem":
         """After steps ``(K, D)`` of the states, D as in `solver.normal_equations`, ``(B, 6)`` of the bars and ``(S,)``
-        of the mount."""
+        of the mount and all bars together (`Mount.of_drone`)."""
         poses = moved_poses(self.poses, state_step[:, : pose_size(self.tilt_sigma_rad)])
-        mount = self.mount and self.mount.moved(mount_step)
+        mount, bars = self.mount, replace(_moved_bars(self.bars, bar_step), thickness=thickness)
+        if mount:
+            mount = mount.moved(mount_step[:-WORLD_DOF])
+            T_correction = exp_about(np.zeros(3), mount_step[-WORLD_DOF:])
+            segments = bars.segments.transformed(T_correction)
+            bars = replace(bars, segments=segments, across=bars.across @ T_correction[:3, :3].T)
         return replace(
             self, T_world_sensor=poses @ mount.at_scans() if mount else poses, mount=mount,
-            bars=replace(_moved_bars(self.bars, bar_step), thickness=thickness),
-            inertial=self.inertial and self.inertial.moved(state_step), sigma_ratio=sigma_ratio,
+            bars=bars, inertial=self.inertial and self.inertial.moved(state_step), sigma_ratio=sigma_ratio,
         )  # fmt: skip
 
 

@@ -26,7 +26,7 @@ from steelnb.core.types import Array, Flight, IntArray, Segments, Trajectory
 from steelnb.fusion.adjustment import problem
 from steelnb.fusion.adjustment.factors import ROBUST_SIGMAS, TILT_SIGMA_RAD, PointEquations, linearised, summed
 from steelnb.fusion.adjustment.imu_factors import Inertial, check_overlap
-from steelnb.fusion.adjustment.mount import MOUNT_DOF, Mount
+from steelnb.fusion.adjustment.mount import MOUNT_DOF, WORLD_DOF, Mount
 from steelnb.fusion.adjustment.problem import BAR_DOF, Bars, Problem, pose_size
 from steelnb.fusion.adjustment.solver import Chain, improve, normal_equations
 from steelnb.fusion.bars import TUBE_M
@@ -113,7 +113,7 @@ def marginals(
 
     Returns those of the steps of the `Problem.poses` ``(K, D, D)`` (`factors`), zero for the fixed first one; of the
     bars ``(B, 6, 6)``: position of the middle (2) and direction (2) in the frame ``across``, rotation and flange; and
-    of the unknowns of the mount ``(S, S)``. What no point determines has the standard deviation `problem.BAR_SIGMA`; for directions, 0.5 m per metre.
+    of the free unknowns of the mount. What no point determines has the standard deviation `problem.BAR_SIGMA`; for directions, 0.5 m per metre.
 
     Raises `InputError` with the free direction if a pose is not constrained.
     """
@@ -134,8 +134,24 @@ def marginals(
         k = int(np.argmax(is_free))
         axis = AXES[np.argmax(np.abs(vector[k, :, -1])) - size]
         raise InputError(f"covariance of pose {k} is singular: nothing holds it, mostly along {axis}")
-    by_bar = inverse[: BAR_DOF * n, : BAR_DOF * n].reshape(n, BAR_DOF, n, BAR_DOF)
-    return pose, by_bar[range(n), :, range(n)], inverse[BAR_DOF * n :, BAR_DOF * n :]
+    shared = inverse[BAR_DOF * n :, BAR_DOF * n :]
+    bar = inverse[: BAR_DOF * n, : BAR_DOF * n].reshape(n, BAR_DOF, n, BAR_DOF)[range(n), :, range(n)]
+    if problem.mount:
+        by_world, across = _by_world(problem.bars), inverse[: BAR_DOF * n, -WORLD_DOF:].reshape(n, BAR_DOF, WORLD_DOF)
+        both = across @ by_world.transpose(0, 2, 1)
+        bar = bar + both + both.transpose(0, 2, 1) + by_world @ shared[-WORLD_DOF:, -WORLD_DOF:] @ by_world.transpose(0, 2, 1)
+        shared = shared[:-WORLD_DOF, :-WORLD_DOF]
+    return pose, bar, shared
+
+
+def _by_world(bars: Bars) -> Array:
+    """Derivatives ``(B, 6, 6)`` of the steps of bars by the motion of all bars together."""
+    result = np.zeros((len(bars.turn), BAR_DOF, WORLD_DOF))
+    for axis in range(3):
+        for rows, vector in ((slice(0, 2), bars.segments.middle), (slice(2, 4), bars.segments.direction)):
+            result[:, rows, axis] = (bars.across @ np.cross(np.eye(3)[axis], vector)[:, :, None])[:, :, 0]
+    result[:, :2, 3:] = bars.across
+    return result
 
 
 def _with_displacements(equations: PointEquations, sigma_m: float) -> PointEquations:
@@ -216,7 +232,7 @@ BARS_MIN = 3
 
 
 def found_mount(mount: Mount, covariance: Array | None) -> MountEstimate:
-    """The estimate of a mount, given the ``covariance (S, S)`` of its unknowns."""
+    """The estimate of a mount, given the ``covariance`` of its free unknowns."""
     full = None
     if covariance is not None:
         full = np.zeros((MOUNT_DOF, MOUNT_DOF))

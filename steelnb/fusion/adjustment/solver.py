@@ -46,7 +46,7 @@ def normal_equations(
 ) -> tuple[ChainEquations, Array, Array, Array]:
     """The normal equations of all factors: those of the states of K scans, the block ``(K, D, 6 B + S)`` between states
     and what they share, and the matrix ``(6 B + S, 6 B + S)`` and vector ``(6 B + S,)`` of the latter: the bars, then S
-    unknowns of the mount. For the arguments see `improve`.
+    of `Mount.of_drone`. For the arguments see `improve`.
 
     A state is a pose, D = 4 or 6; with an IMU it includes velocity and biases, D = 15.
     """
