@@ -46,27 +46,26 @@ def tilt_decay(passed_s: Array | float) -> Array:
 
 
 def prior_equations(
-    T: Array, prior: Array, stamp_s: Array, tilt_sigma_rad: float = 0.0, upright: bool = True
-) -> ChainEquations:
+    T: Array, prior: Array, stamp_s: Array, tilt_sigma_rad: float = 0.0, upright: bool = True,
+    drift_ratio: Array | float = 1.0,
+) -> ChainEquations:  # fmt: skip
     """Normal equations of the prior's factors on the poses ``T (K, 4, 4)`` at ``stamp_s (K,)``.
 
     The increments of position and yaw are those of the ``prior (K, 4, 4)``, in the frame of the earlier pose. Errors of
     roll and pitch, if free, follow their Gauss-Markov process. The first pose is fixed to the prior's. Its roll and
     pitch are fixed only if the prior is ``upright`` there; otherwise they have the sigma ``tilt_sigma_rad``.
+    ``drift_ratio``, alone or ``(4,)``: the drift as a multiple of `DRIFT_SIGMA`.
     """
     size = pose_size(tilt_sigma_rad)
-    tilt, yaw, shift = slice(0, size - UPRIGHT_DOF), size - UPRIGHT_DOF, slice(size - 3, size)
+    tilt, yaw = slice(0, size - UPRIGHT_DOF), size - UPRIGHT_DOF
     first_error, first_weight = np.zeros((2, len(T), size))
     first_error[0], first_weight[0] = pose_step(prior[0], T[0], size), FIXED
     if not upright:
         first_weight[0, tilt] = tilt_sigma_rad**-2.0
     gap_s = np.maximum(np.diff(stamp_s), 1e-6)
     error, weight = np.zeros((2, len(gap_s), size))
-    turned = T[:-1, :3, :3] @ prior[:-1, :3, :3].transpose(0, 2, 1)
-    expected = (turned @ np.diff(prior[:, :3, 3], axis=0)[:, :, None])[:, :, 0]
-    rotation = T[1:, :3, :3] @ (turned @ prior[1:, :3, :3]).transpose(0, 2, 1)
-    error[:, yaw], error[:, shift] = yaw_of(rotation), np.diff(T[:, :3, 3], axis=0) - expected
-    weight[:, yaw:] = 1.0 / drift_variance(gap_s)
+    error[:, yaw:], expected = drift_steps(T, prior)
+    weight[:, yaw:] = 1.0 / drift_variance(gap_s) / np.square(drift_ratio)
     after = np.tile(np.eye(size), (len(gap_s), 1, 1))
     before = -after
     before[:, yaw + 1, yaw], before[:, yaw + 2, yaw] = expected[:, 1], -expected[:, 0]
@@ -76,6 +75,37 @@ def prior_equations(
         weight[:, tilt] = tilt_sigma_rad**-2.0 / (1.0 - decay**2)
         before[:, tilt, tilt] = -decay[:, :, None] * np.eye(2)
     return chain_equations(first_error, first_weight, error, weight[:, :, None] * np.eye(size), before, after)
+
+
+def drift_steps(T: Array, prior: Array) -> tuple[Array, Array]:
+    """Steps ``(K − 1, 4)`` of the drift of yaw, x, y and z between the poses ``T (K, 4, 4)``, and the increments of
+    position ``(K − 1, 3)`` that the ``prior (K, 4, 4)`` expects, in the frame of the earlier pose."""
+    turned = T[:-1, :3, :3] @ prior[:-1, :3, :3].transpose(0, 2, 1)
+    expected = (turned @ np.diff(prior[:, :3, 3], axis=0)[:, :, None])[:, :, 0]
+    rotation = T[1:, :3, :3] @ (turned @ prior[1:, :3, :3]).transpose(0, 2, 1)
+    return np.column_stack([yaw_of(rotation), np.diff(T[:, :3, 3], axis=0) - expected]), expected
+
+
+DRIFT_WINDOW_S, DRIFT_WINDOWS_MIN = 6.0, 4
+"""Time over which the drift is measured, so long that errors of the poses are small beside it; and the minimum number
+of such times in a flight."""
+DRIFT_RATIO_MIN, DRIFT_RATIO_MAX = 0.03, 3.0
+
+
+def drift_ratio(T: Array, prior: Array, stamp_s: Array, unknowns: int = 0) -> Array:
+    """The drift of yaw, x, y and z ``(4,)`` as a multiple of `DRIFT_SIGMA`, from the steps of the poses ``T (K, 4, 4)``
+    of an adjustment; one common value for the position. ``unknowns``: number of those estimated from the drift."""
+    ratio, windows = np.ones(4), np.ptp(stamp_s) / DRIFT_WINDOW_S
+    if windows < DRIFT_WINDOWS_MIN:
+        return ratio
+    drift = np.cumsum(np.pad(drift_steps(T, prior)[0], ((1, 0), (0, 0))), axis=0)
+    end = np.searchsorted(stamp_s, stamp_s + DRIFT_WINDOW_S)
+    begin = np.flatnonzero(end < len(stamp_s))
+    end = end[begin]
+    square = (drift[end] - drift[begin]) ** 2 / drift_variance(stamp_s[end] - stamp_s[begin])
+    share = max(1.0 - unknowns / (3.0 * windows), 0.5)
+    ratio[0], ratio[1:] = np.sqrt(square[:, 0].mean()), np.sqrt(square[:, 1:].mean() / share)
+    return np.clip(ratio, DRIFT_RATIO_MIN, DRIFT_RATIO_MAX)
 
 
 ROBUST_SIGMAS, ROBUST_M = 2.5, 0.02

@@ -24,7 +24,14 @@ from steelnb.core.estimates import Estimate, MountEstimate
 from steelnb.core.geometry import UPRIGHT_DOF
 from steelnb.core.types import Array, Flight, IntArray, Segments, Trajectory
 from steelnb.fusion.adjustment import problem
-from steelnb.fusion.adjustment.factors import ROBUST_SIGMAS, TILT_SIGMA_RAD, PointEquations, linearised, summed
+from steelnb.fusion.adjustment.factors import (
+    ROBUST_SIGMAS,
+    TILT_SIGMA_RAD,
+    PointEquations,
+    drift_ratio,
+    linearised,
+    summed,
+)
 from steelnb.fusion.adjustment.imu_factors import Inertial, check_overlap
 from steelnb.fusion.adjustment.mount import MOUNT_DOF, WORLD_DOF, Mount
 from steelnb.fusion.adjustment.problem import BAR_DOF, Bars, Problem, pose_size
@@ -55,7 +62,8 @@ def adjust(
 
     ``prior`` and ``stamp_s`` as for `solver.improve`, ``tilt_sigma_rad``, ``inertial`` and ``mount`` as for `Problem`;
     with a ``mount``, ``prior`` and ``inertial`` are about the drone. ``before``:
-    an earlier adjustment of the same flight, whose range noise and thickness are the first estimates. All steps of a
+    an earlier adjustment of the same flight, whose range noise and thickness are the first estimates, and whose drift
+    counts if its mount is unknown. All steps of a
     stage use the same points. Without an earlier adjustment, these include points far from the front faces.
 
     Raises `InputError` if fewer than ``bars_min`` bars have a known section.
@@ -64,7 +72,10 @@ def adjust(
     bars = BarFitter(scans, thickness).find_and_fit(fits, every).bars
     if bars.has_section.sum() < bars_min:
         raise InputError("too few bars whose sections are known")
-    state = problem.start(scans.T_world_sensor, prior, bars, tilt_sigma_rad, inertial, mount)
+    ratio: Array | float = 1.0
+    if before and before.mount:
+        ratio = drift_ratio(before.poses, prior, stamp_s, len(before.mount.free))
+    state = problem.start(scans.T_world_sensor, prior, bars, tilt_sigma_rad, inertial, mount, ratio)
     voxels = scans.around(bars.segments)
     for pixels, steps in stages:
         placed = replace(scans, T_world_sensor=state.T_world_sensor)
