@@ -86,7 +86,7 @@ class Problem:
     ``T_world_sensor (K, 4, 4)``; ``sigma_ratio``: range noise as a multiple of that in `points.ranges`; ``fitted
     (B, 2)``: rotations and flanges of the bars as fitted to outlines; ``tilt_sigma_rad``: standard deviation of the
     prior's roll and pitch, 0 if they are fixed; ``inertial``: None without an IMU; ``mount``: None if it is
-    known; ``drift_ratio``: of `factors.prior_equations`.
+    known; ``drift``: `factors.drift_ratio` of the prior.
     """
 
     T_world_sensor: Array
@@ -96,7 +96,7 @@ class Problem:
     tilt_sigma_rad: float = 0.0
     inertial: Inertial | None = None
     mount: Mount | None = None
-    drift_ratio: Array | float = 1.0
+    drift: Array | float = 1.0
 
     @property
     def poses(self) -> Array:
@@ -123,7 +123,7 @@ class Problem:
 
 def start(
     T_world_sensor: Array, prior: Array, bars: Bars, tilt_sigma_rad: float = 0.0, inertial: Inertial | None = None,
-    mount: Mount | None = None, drift_ratio: Array | float = 1.0,
+    mount: Mount | None = None, drift: Array | float = 1.0,
 ) -> Problem:  # fmt: skip
     """The state before the first step: poses ``(K, 4, 4)`` and bars, moved together by the yaw and translation that
     take the first pose to that of the ``prior (K, 4, 4)``, which is the drone's if there is a ``mount``."""
@@ -134,7 +134,7 @@ def start(
     corrected = replace(bars, segments=bars.segments.transformed(T_correction), across=bars.across @ R.T)
     fitted = np.column_stack([bars.turn, bars.flange])
     inertial = inertial and inertial.rotated(R)
-    return Problem(T_correction @ T_world_sensor, corrected, 1.0, fitted, tilt_sigma_rad, inertial, mount, drift_ratio)
+    return Problem(T_correction @ T_world_sensor, corrected, 1.0, fitted, tilt_sigma_rad, inertial, mount, drift)
 
 
 def _moved_bars(bars: Bars, step: Array) -> Bars:

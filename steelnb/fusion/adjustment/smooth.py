@@ -55,15 +55,14 @@ larger bound leaves too few points of the first scan, which fixes the world fram
 def adjust(
     scans: MappedScans, prior: Array, stamp_s: Array, stages: Stages, fits: int, every: int = 5, bars_min: int = 1,
     tilt_sigma_rad: float = 0.0, inertial: Inertial | None = None, before: Problem | None = None,
-    mount: Mount | None = None,
+    mount: Mount | None = None, drift: Array | float = 1.0,
 ) -> tuple[Problem, PointEquations]:  # fmt: skip
     """Adjust the poses of scans and the bars of `BarFitter.find_and_fit` together; returns also the equations of the
     last step.
 
-    ``prior`` and ``stamp_s`` as for `solver.improve`, ``tilt_sigma_rad``, ``inertial`` and ``mount`` as for `Problem`;
+    ``prior`` and ``stamp_s`` as for `solver.improve`, ``tilt_sigma_rad``, ``inertial``, ``mount`` and ``drift`` as for `Problem`;
     with a ``mount``, ``prior`` and ``inertial`` are about the drone. ``before``:
-    an earlier adjustment of the same flight, whose range noise and thickness are the first estimates, and whose drift
-    counts if its mount is unknown. All steps of a
+    an earlier adjustment of the same flight, whose range noise and thickness are the first estimates. All steps of a
     stage use the same points. Without an earlier adjustment, these include points far from the front faces.
 
     Raises `InputError` if fewer than ``bars_min`` bars have a known section.
@@ -72,10 +71,7 @@ def adjust(
     bars = BarFitter(scans, thickness).find_and_fit(fits, every).bars
     if bars.has_section.sum() < bars_min:
         raise InputError("too few bars whose sections are known")
-    ratio: Array | float = 1.0
-    if before and before.mount:
-        ratio = drift_ratio(before.poses, prior, stamp_s, len(before.mount.free))
-    state = problem.start(scans.T_world_sensor, prior, bars, tilt_sigma_rad, inertial, mount, ratio)
+    state = problem.start(scans.T_world_sensor, prior, bars, tilt_sigma_rad, inertial, mount, drift)
     voxels = scans.around(bars.segments)
     for pixels, steps in stages:
         placed = replace(scans, T_world_sensor=state.T_world_sensor)
@@ -297,15 +293,21 @@ def smooth(
         check_overlap(flight.imu, flight.prior)
         inertial = Inertial.started(flight.imu, imu, of_poses, estimate.corrected)
         tilt_sigma_rad = tilt_sigma_rad or TILT_SIGMA_RAD
+    drift: Array | float = 1.0
     for fits, stages in ROUNDS if mount is None else MOUNT_ROUNDS:
         try:
             scans = MappedScans.mapped(flight.scans, T, settings, every=3)
             state, equations = adjust(
                 scans, prior, stamp_s, stages, fits, bars_min=BARS_MIN, tilt_sigma_rad=tilt_sigma_rad,
-                inertial=inertial, before=before, mount=mount,
+                inertial=inertial, before=before, mount=mount, drift=drift,
             )  # fmt: skip
         except InputError as fault:
             return replace(estimate, unsmoothed=str(fault))
+        if mount and before is None:  # the thickness is that of bars that a wrong mount has blurred
+            state = replace(state, bars=replace(state.bars, thickness=settings.thickness or shapes.THICKNESS))
+        elif mount:
+            # Measured once: where the drift is small, poses that follow it would make it ever smaller.
+            drift = drift_ratio(state.poses, prior, stamp_s, len(mount.free))
         T, before, inertial, mount = state.T_world_sensor, state, state.inertial, state.mount
     bars = state.bars.take(state.bars.is_bar)
     poses = state.poses if mount else T

@@ -57,7 +57,7 @@ def normal_equations(
     bars = block_diag(*(equations.block[:, :BAR_DOF, :BAR_DOF] + np.diag(BAR_SIGMA**-2.0)))
     from_fitted = np.column_stack([problem.bars.turn, problem.bars.flange]) - problem.fitted
     rhs[:, 4:] -= np.nan_to_num(from_fitted) * BAR_SIGMA[4:] ** -2.0  # NaN if a section has none
-    chain = prior_equations(T, prior, stamp_s, problem.tilt_sigma_rad, inertial is None, problem.drift_ratio)
+    chain = prior_equations(T, prior, stamp_s, problem.tilt_sigma_rad, inertial is None, problem.drift)
     matrix, beside, vector = chain.matrix + points.matrix, chain.beside, chain.vector + points.vector
     between = np.zeros((*vector.shape, *rhs.shape))
     between[equations.pair_scan, :, equations.pair_bar] = points.cross[:, :, :BAR_DOF]
