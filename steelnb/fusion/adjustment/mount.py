@@ -19,7 +19,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from steelnb.core.geometry import inverse_poses, rotation_between
-from steelnb.core.types import Array, Flight, IntArray, Trajectory
+from steelnb.core.types import Array, Flight, IntArray, Trajectory, interpolated_poses
 
 if TYPE_CHECKING:  # which imports this module
     from steelnb.fusion.adjustment.factors import PointEquations
@@ -106,6 +106,32 @@ class Mount:
     def drones(self, T_world_sensor: Array) -> Array:
         """Poses ``(K, 4, 4)`` of the drone at the stamps, from those of the sensor."""
         return T_world_sensor @ inverse_poses(self.at_scans())
+
+    def at_stamps(self, T_world_sensor: Array) -> tuple[Array, Array]:
+        """Poses ``(K, 4, 4)`` of the drone at the stamps from those of the sensor at the measurements, and the times
+        ``(K,)`` over which the drift is not measured.
+
+        The correction of the prior, a turn of the drone about itself and a shift, is interpolated between scans. The
+        first pose is the prior's, since drift begins there.
+        """
+        poses, stamp_s = self.drones(T_world_sensor), self.prior.stamp_s
+        if not self.late_s or len(stamp_s) < 2:
+            return poses, np.zeros(len(stamp_s))
+        measured_s = stamp_s - self.late_s
+        then, now, correction = self.path.between(measured_s), self.prior.T_world_drone, np.tile(np.eye(4), (len(poses), 1, 1))
+        measured = T_world_sensor @ np.linalg.inv(self.T_drone_sensor)
+        correction[:, :3, :3] = measured[:, :3, :3] @ then[:, :3, :3].transpose(0, 2, 1)
+        correction[:, :3, 3] = measured[:, :3, 3] - then[:, :3, 3]
+        correction = interpolated_poses(measured_s, correction, stamp_s)
+        poses[1:, :3, :3] = correction[1:, :3, :3] @ now[1:, :3, :3]
+        poses[1:, :3, 3] = correction[1:, :3, 3] + now[1:, :3, 3]
+        after = np.clip(np.searchsorted(measured_s, stamp_s), 1, len(stamp_s) - 1)
+        before_s, after_s = np.abs(stamp_s - measured_s[after - 1]), np.abs(measured_s[after] - stamp_s)
+        inside = (stamp_s >= measured_s[0]) & (stamp_s <= measured_s[-1])
+        bridged_s = before_s * after_s / (before_s + after_s)
+        unmeasured_s = np.where(inside, bridged_s, np.minimum(before_s, after_s))
+        unmeasured_s[0] = 0.0
+        return poses, unmeasured_s
 
     def of_drone(self, equations: "PointEquations", T_world_sensor: Array, size: int) -> DroneEquations:
         """Convert equations about the six degrees of freedom of the sensor's poses to those about the ``size`` of the

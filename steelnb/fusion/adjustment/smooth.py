@@ -29,6 +29,7 @@ from steelnb.fusion.adjustment.factors import (
     TILT_SIGMA_RAD,
     PointEquations,
     drift_ratio,
+    drift_variance,
     linearised,
     summed,
 )
@@ -310,11 +311,14 @@ def smooth(
             drift = drift_ratio(state.poses, prior, stamp_s, len(mount.free))
         T, before, inertial, mount = state.T_world_sensor, state, state.inertial, state.mount
     bars = state.bars.take(state.bars.is_bar)
-    poses = state.poses if mount else T
+    poses, unmeasured_s = mount.at_stamps(T) if mount else (T, 0.0)
     pose_covariance, axis_covariance, mount_covariance, unsure = None, None, None, ""
     try:
         pose, bar, mount_covariance = marginals(state, equations, prior, stamp_s)
         pose_covariance = pose_covariances(pose, poses, of_poses)
+        if np.any(unmeasured_s):
+            order = [5, 0, 1, 2]
+            pose_covariance[:, order, order] += drift_variance(unmeasured_s) * np.square(state.drift)
         pose_covariance = with_range_sigmas(pose_covariance, flight, T, settings)
         axis_covariance = axis_covariances(bar[state.bars.is_bar], bars.segments, bars.across, state.sigma_ratio)
     except InputError as fault:
