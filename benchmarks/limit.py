@@ -53,9 +53,9 @@ class Information(NamedTuple):
 
 
 def seen(tower: Tower, T_world_drone: Array, tof: TofSettings, twist: Array) -> Iterator[tuple[Array, IntArray]]:
-    """For each scan of a tower without ground from true poses ``(K, 4, 4)``: derivatives ``(N, 15)`` of the ranges by x,
-    y, z and yaw of the drone, by `MOUNT`, by `WORLD` and by the shift of the face, divided by the range noise; and patch numbers
-    ``(N,)``. ``twist (K, 6)``: angular rate and velocity of the drone, world frame.
+    """For each scan of a tower without ground from true poses ``(K, 4, 4)``: derivatives ``(N, 15)`` of the ranges by
+    x, y, z and yaw of the drone, by `MOUNT`, by `WORLD` and by the shift of the face, divided by the range noise; and
+    patch numbers ``(N,)``. ``twist (K, 6)``: angular rate and velocity of the drone, world frame.
     """
     scene, ray = make_scene(tower), rays(tof).reshape(-1, 3)
     corner = tower.vertices[tower.triangles]
@@ -82,17 +82,18 @@ def seen(tower: Tower, T_world_drone: Array, tof: TofSettings, twist: Array) -> 
         late = turn @ moving[:3] + n @ moving[3:]
         world = np.cross(points, n)
         sigma_m = np.maximum(tof.sigma_floor_m, tof.sigma_relative * distance)
-        gradient = np.column_stack([-n, -turn[:, 2], -at_sensor, -n @ drone[:3, :3], late, world, np.ones(len(n))]) / (slope * sigma_m)[:, None]
+        by_mount = np.column_stack([-at_sensor, -n @ drone[:3, :3], late])
+        gradient = np.column_stack([-n, -turn[:, 2], by_mount, world, np.ones(len(n))]) / (slope * sigma_m)[:, None]
         cell = ((points - low) / PATCH_M).astype(int)
         yield gradient, np.ravel_multi_index((face[triangle[kept]], *cell.T), shape)
 
 
 def gather(scans: Iterator[tuple[Array, IntArray]]) -> Information:
-    """Fisher information of the returns of K scans about their poses ``(K, 4, 4)`` and the patches of the surface.
+    """Fisher information of the returns of K scans about their ``poses (K, 4, 4)`` and the patches of the surface.
 
     Pairs of a patch and a scan that sees it are sorted by patch, from ``first[p]`` to ``first[p + 1] - 1``, then by
-    ``scan (N,)``. ``cross (N, 14)`` couples pose, `MOUNT` and `WORLD` and the shift of the patch; ``shift (N,)`` is of the
-    shift alone. ``shared (K, 14, 10)`` is about pose, mount and world, and the last two.
+    ``scan (N,)``. ``cross (N, 14)`` couples pose, `MOUNT` and `WORLD` and the shift of the patch; ``shift (N,)`` is of
+    the shift alone. ``shared (K, 14, 10)`` is about pose, mount and world, and the last two.
     """
     both, patches, numbers, sums = [], [], [], []
     for k, (g, patch_of) in enumerate(scans):
@@ -146,8 +147,8 @@ def eliminate(matrix, poses, first, scan, cross, shift):  # type: ignore[no-unty
 
 
 def mount_equations(information: Information) -> tuple[Array, Array]:
-    """Information ``(4 K, 10)`` about poses, `MOUNT` and `WORLD` and ``(10, 10)`` about the last two, of all scans, after
-    the shifts of the patches are eliminated."""
+    """Information ``(4 K, 10)`` about poses, `MOUNT` and `WORLD` and ``(10, 10)`` about the last two, of all scans,
+    after the shifts of the patches are eliminated."""
     first, scan, cross = information.first, information.scan, information.cross
     total, by_patch = (np.add.reduceat(each, first[:-1]) for each in (information.shift, cross[:, POSE:]))
     patch = np.repeat(np.arange(len(first) - 1), np.diff(first))

@@ -92,6 +92,13 @@ def run(
         str | None,
         more(metavar="X,Y,Z,ROLL,PITCH,YAW", help="Pose of the sensor on the drone, in metres and degrees."),
     ] = None,
+    mount_sigma: Annotated[
+        str | None,
+        more(metavar="DEG,M", help="Standard deviations of that pose, which --smooth then estimates, such as 1,0.01."),
+    ] = None,
+    clock_sigma: Annotated[
+        float | None, more(metavar="SECONDS", help="Standard deviation of the delay of stamps, for --smooth.")
+    ] = None,
     optical: Annotated[str | None, more(metavar="yes|no", help="Whether z is ahead in the sensor's frame.")] = None,
     world: Annotated[str | None, more(metavar="enu|ned", help="ned: poses have z down.")] = None,
     scans_in: Annotated[
@@ -133,7 +140,11 @@ def run(
         )  # fmt: skip
         also = {"smooth": "--smooth"} if smooth else {}
         also |= {} if range_m is None else {"preprocess.crop_m": "--range"}
-        options: dict[str, Any] = {"overrides": _overrides(changed, also) | ({"smooth": True} if smooth else {})}
+        sigmas = _sigmas(mount_sigma, clock_sigma)
+        also |= {name: "--clock-sigma" if "time" in name else "--mount-sigma" for name in sigmas}
+        options: dict[str, Any] = {
+            "overrides": _overrides(changed, also) | ({"smooth": True} if smooth else {}) | sigmas
+        }
         options |= {
             "range_max_m": stated.range,
             "method": odometry if own is None else "best",  # preprocessing of `best`
@@ -266,6 +277,16 @@ def _numbers(option: str, text: str | None) -> tuple[float, ...] | None:
         return None if text is None else tuple(map(float, text.split(",")))
     except ValueError:
         raise InputError(f"{option} {text}: expected numbers, such as 0.06,0,0,0,0,0") from None
+
+
+def _sigmas(mount: str | None, clock_s: float | None) -> dict[str, Any]:
+    """The settings that --mount-sigma and --clock-sigma stand for."""
+    sigmas = {}
+    if (numbers := _numbers("--mount-sigma", mount)) is not None:
+        if len(numbers) != 2:
+            raise InputError(f"--mount-sigma {mount}: expected degrees and metres, such as 1,0.01")
+        sigmas = dict(zip(("mount.rotation_sigma_deg", "mount.translation_sigma_m"), numbers, strict=True))
+    return sigmas | ({} if clock_s is None else {"mount.time_sigma_s": clock_s})
 
 
 def _flag(option: str, text: str | None) -> bool | None:

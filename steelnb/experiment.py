@@ -115,7 +115,8 @@ def estimate(
     on_step = (lambda k, scan, step: on_progress((k + 1) / len(flight))) if on_progress else None
     before = broken_off(settings)
     if isinstance(flight.scans, RangeScans) and flight.images is None:
-        given = flight.scans, flight.prior, flight.T_drone_sensor, flight.imu, before and before.scans
+        path = flight.path if settings.odometry.mount.time_sigma_s else None  # what nobody reads is no key
+        given = flight.scans, flight.prior, flight.T_drone_sensor, flight.imu, before and before.scans, path
         key = "estimate", settings.odometry.model_dump_json(), *given, flight.range_sigmas
         found = cached(lambda: correct(flight, settings.odometry, on_step, before=before), *key)
     else:  # images and recorded scans have no fast cache key

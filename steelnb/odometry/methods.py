@@ -76,6 +76,6 @@ def correct(
     if not settings.smooth:
         return estimate
     begin = time.perf_counter()
-    estimate = smooth(flight, estimate, structure, getattr(settings, "tilt_sigma_rad", 0.0), noise)
+    estimate = smooth(flight, estimate, structure, getattr(settings, "tilt_sigma_rad", 0.0), noise, settings.mount)
     smooth_s = np.full(len(flight), (time.perf_counter() - begin) / max(len(flight), 1))
     return replace(estimate, seconds={**estimate.seconds, "smooth": smooth_s})

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from steelnb.core.errors import InputError
-from steelnb.core.estimates import Estimate
+from steelnb.core.estimates import Estimate, MountEstimate
 from steelnb.core.types import Flight, Segments, Trajectory
 from steelnb.fusion.structure import Structure
 from steelnb.io.recordings import find_truth
@@ -83,6 +83,24 @@ def at_scans(scans: Trajectory, path: Trajectory, what: str) -> tuple[Trajectory
     return found, notes
 
 
+MOUNT_UNITS = {
+    "roll_deg": 180 / math.pi, "pitch_deg": 180 / math.pi, "yaw_deg": 180 / math.pi, "x_m": 1.0, "y_m": 1.0, "z_m": 1.0,
+    "late_s": 1.0,
+}  # fmt: skip
+"""Parts of the step of a `MountEstimate` as numbers, and their units in those of the step."""
+
+
+def mount_numbers(mount: MountEstimate) -> dict[str, float]:
+    """The step from the stated mount to the estimated one, in the frame of the drone, and the delay of the stamps, each
+    with its standard deviation, NaN if this is not determined."""
+    unit = np.array(list(MOUNT_UNITS.values()))
+    sigma = np.full(len(unit), np.nan) if mount.covariance is None else np.sqrt(np.diag(mount.covariance))
+    numbers = {f"mount_{name}": value for name, value in zip(MOUNT_UNITS, (unit * mount.step).tolist(), strict=True)}
+    return numbers | {
+        f"mount_{name}_sigma": value for name, value in zip(MOUNT_UNITS, (unit * sigma).tolist(), strict=True)
+    }
+
+
 def evaluate(
     flight: Flight, estimate: Estimate, segments: Segments, structure: Structure, known: References
 ) -> dict[str, float]:
@@ -116,5 +134,7 @@ def evaluate(
     if (covariance := estimate.pose_covariance) is not None:
         sigma_m = np.sqrt(np.trace(covariance[:, :3, :3], axis1=1, axis2=2))
         numbers |= {"position_sigma_m": float(np.median(sigma_m)), "position_sigma_max_m": float(sigma_m.max())}
+    if estimate.mount is not None:
+        numbers |= mount_numbers(estimate.mount)
     sizes = {"map_points": len(estimate.points), "segments": len(segments)}
     return numbers | sizes | {"structure_bars": len(structure), "structure_joints": len(structure.joint)}

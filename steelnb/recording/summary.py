@@ -56,6 +56,24 @@ def result_lines(numbers: dict[str, float], labels: dict[str, str], structure: S
     if "position_sigma_m" in numbers:
         sigma = "sigma     of positions {position_sigma_m:.3f} m (median), {position_sigma_max_m:.3f} m at most"
         lines.append(sigma.format_map(numbers) + ", by the estimate's own covariances")
+    if "mount_yaw_deg" in numbers:
+        lines.append(mount_line(numbers))
     lines.append(f"map       {numbers['map_points']} points, {numbers['segments']} bars")
     found = f"{len(structure)} bars, {len(structure.joint)} joints"
     return [*lines, f"structure {found if len(structure) else f'empty: {structure.reason}'}"]
+
+
+def mount_line(numbers: dict[str, float]) -> str:
+    """The estimated mount and delay of the stamps, with their standard deviations."""
+    parts = (
+        ("turned by", ("roll_deg", "pitch_deg", "yaw_deg"), 1.0, 2, "°"),
+        ("moved by", ("x_m", "y_m", "z_m"), 1e3, 0, " mm"),
+    )
+    said = []
+    for what, names, unit, digits, suffix in parts:
+        value, sigma = (
+            ", ".join(f"{unit * numbers[f'mount_{name}{end}']:.{digits}f}" for name in names) for end in ("", "_sigma")
+        )
+        said.append(f"{what} ({value}){suffix} ± ({sigma}){suffix}")
+    late = "stamps {mount_late_s:.4f} ± {mount_late_s_sigma:.4f} s late".format_map(numbers)
+    return f"mount     {', '.join(said)}, {late}"

@@ -25,7 +25,13 @@ from steelnb.settings.odometry import (
 from steelnb.settings.presets import METHODS, SENSORS, TOWERS
 from steelnb.settings.recording import RecordingOptions, read_options
 from steelnb.settings.report_plots import read_report_plots
-from steelnb.settings.stages import FusionSettings, HoughSettings, PreprocessSettings, StructureSettings
+from steelnb.settings.stages import (
+    FusionSettings,
+    HoughSettings,
+    MountSettings,
+    PreprocessSettings,
+    StructureSettings,
+)
 from steelnb.settings.world import (
     REPORT_NOISE,
     CameraSettings,
@@ -43,8 +49,8 @@ TRAJECTORIES: tuple[TrajectoryName, ...] = get_args(TrajectoryName)
 __all__ = [
     "METHODS", "REPORT_NOISE", "SENSORS", "TOWERS", "TRAJECTORIES", "CameraSettings", "CloudSettings", "DeepVoSettings",
     "ExperimentSettings", "FaceSettings", "FlightSettings", "FusionSettings", "HoughSettings", "ImuSettings",
-    "LibrarySettings", "LoamSettings", "Noise", "OdometrySettings", "OrbSettings", "PreprocessSettings",
-    "RecordingOptions", "RegistrationSettings", "ReportCloudSettings", "ReportSegmentSettings", "SegmentSettings",
-    "SensorPreset", "Settings", "StructureSettings", "TofFault", "TofSettings", "TowerSettings", "TrajectoryName",
-    "parse_parameter", "read_options", "read_report_plots", "read_tables",
+    "LibrarySettings", "LoamSettings", "MountSettings", "Noise", "OdometrySettings", "OrbSettings",
+    "PreprocessSettings", "RecordingOptions", "RegistrationSettings", "ReportCloudSettings", "ReportSegmentSettings",
+    "SegmentSettings", "SensorPreset", "Settings", "StructureSettings", "TofFault", "TofSettings", "TowerSettings",
+    "TrajectoryName", "parse_parameter", "read_options", "read_report_plots", "read_tables",
 ]  # fmt: skip

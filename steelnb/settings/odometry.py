@@ -10,7 +10,7 @@ from pydantic import AfterValidator, Field, model_validator
 from steelnb.core.errors import InputError
 from steelnb.settings.base import NotNegative, OrNone, Positive, Settings, VoxelEdge
 from steelnb.settings.presets import method_table, sensor_tables
-from steelnb.settings.stages import FusionSettings, HoughSettings, PreprocessSettings
+from steelnb.settings.stages import FusionSettings, HoughSettings, MountSettings, PreprocessSettings
 from steelnb.settings.world import ImuSettings, TofSettings
 
 SegmentMethod = Literal["none", "average", "least_squares", "least_squares_yaw"]
@@ -31,6 +31,7 @@ class OdometrySettings(Settings):
     """Settings that all families share; `preset` returns the settings of a method.
 
     ``smooth``: adjust all poses and bars together after the last scan (`steelnb.fusion.adjustment.smooth`).
+    ``mount``: how well the mount of the sensor is known; only smoothing estimates it.
     """
 
     of_preset = ("method",)
@@ -39,6 +40,7 @@ class OdometrySettings(Settings):
     method: str
     preprocess: PreprocessSettings = PreprocessSettings()
     smooth: bool = False
+    mount: MountSettings = MountSettings()
 
     family: ClassVar[str]
 
@@ -46,6 +48,12 @@ class OdometrySettings(Settings):
         if type(self) is OdometrySettings:
             raise InputError("OdometrySettings: of no family; OdometrySettings.preset(method) gives those of a method")
         super().__init__(**values)
+
+    @model_validator(mode="after")
+    def _estimates_its_mount(self) -> Self:
+        if not self.smooth and self.mount != MountSettings():
+            raise ValueError("mount: only smoothing estimates it; expected smooth = true, or no standard deviations")
+        return self
 
     @staticmethod
     def preset(

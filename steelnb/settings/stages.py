@@ -4,15 +4,19 @@ radians."""
 import math
 from typing import Annotated, Self
 
-from pydantic import Field
+import numpy as np
+from pydantic import Field, model_validator
 
 from steelnb.core.errors import InputError
+from steelnb.core.types import Array
 from steelnb.settings.base import Finite, NotNegative, Positive, Probability, Settings, VoxelEdge
 
 THICKNESS_MIN, THICKNESS_MAX = 0.04, 0.2
 """Bounds of the thickness of angle sections, a share of their flanges."""
 NO_FLOOR_M = -1e6
 """A floor so low that no point is below it."""
+ROTATION_SIGMA_MAX_DEG, TRANSLATION_SIGMA_MAX_M, TIME_SIGMA_MAX_S = 10.0, 0.5, 0.5
+"""A mount or a clock that is known less well than this must be stated."""
 
 
 class PreprocessSettings(Settings):
@@ -53,6 +57,34 @@ class FusionSettings(Settings):
     angle_max_rad: Annotated[float, Field(gt=0, le=math.pi / 2)] = 0.13962634015954636  # 8 degrees
     distance_max_m: Positive = 0.15
     add_radii: bool = False
+
+
+class MountSettings(Settings):
+    """How well the mount of the sensor and its clock are known: standard deviations of the rotation about each axis,
+    of the translation along each axis of the drone, and of the delay of the stamps. What has 0 is known; the rest is
+    estimated by smoothing (`steelnb.fusion.adjustment.mount`)."""
+
+    rotation_sigma_deg: NotNegative = 0.0
+    translation_sigma_m: NotNegative = 0.0
+    time_sigma_s: NotNegative = 0.0
+
+    @model_validator(mode="after")
+    def _is_an_error(self) -> Self:
+        for name, most, unit, stated in (
+            ("rotation_sigma_deg", ROTATION_SIGMA_MAX_DEG, "°", "the mount"),
+            ("translation_sigma_m", TRANSLATION_SIGMA_MAX_M, " m", "the mount"),
+            ("time_sigma_s", TIME_SIGMA_MAX_S, " s", "the offset of the clock"),
+        ):
+            if (sigma := getattr(self, name)) > most:
+                raise ValueError(f"{name} = {sigma:g}: expected at most {most:g}{unit}; state {stated} instead")
+        return self
+
+    @property
+    def sigma(self) -> Array:
+        """Standard deviations ``(7,)`` of rotation (rad), translation (m) and delay (s)."""
+        return np.repeat(
+            [math.radians(self.rotation_sigma_deg), self.translation_sigma_m, self.time_sigma_s], [3, 3, 1]
+        )
 
 
 class StructureSettings(Settings):

@@ -101,7 +101,7 @@ def wall_of_posts():
 
 def test_along_the_posts_of_a_wall_a_pose_has_the_sigma_of_the_drift():
     T, bars, observed = wall_of_posts()
-    pose, bar = marginals(state_of(T, bars), observed, T)
+    pose, bar, _ = marginals(state_of(T, bars), observed, T)
     np.testing.assert_allclose(np.sqrt(pose[:, 3, 3]), 0.01 * np.sqrt(np.arange(40)), rtol=0.01)
     assert np.sqrt(pose[-1, 2, 2]) < 0.01
     np.testing.assert_allclose(np.sqrt(np.diagonal(bar[4])), problem.BAR_SIGMA, rtol=1e-6)  # no point is on it

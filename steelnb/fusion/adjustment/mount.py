@@ -118,7 +118,8 @@ class Mount:
         if not self.late_s or len(stamp_s) < 2:
             return poses, np.zeros(len(stamp_s))
         measured_s = stamp_s - self.late_s
-        then, now, correction = self.path.between(measured_s), self.prior.T_world_drone, np.tile(np.eye(4), (len(poses), 1, 1))
+        then, now = self.path.between(measured_s), self.prior.T_world_drone
+        correction = np.tile(np.eye(4), (len(poses), 1, 1))
         measured = T_world_sensor @ np.linalg.inv(self.T_drone_sensor)
         correction[:, :3, :3] = measured[:, :3, :3] @ then[:, :3, :3].transpose(0, 2, 1)
         correction[:, :3, 3] = measured[:, :3, 3] - then[:, :3, 3]

@@ -104,13 +104,13 @@ class Problem:
         return self.mount.drones(self.T_world_sensor) if self.mount else self.T_world_sensor
 
     def moved(
-        self, state_step: Array, bar_step: Array, mount_step: Array, sigma_ratio: float, thickness: float
+        self, state_step: Array, bar_step: Array, sigma_ratio: float, thickness: float, mount_step: Array | None = None
     ) -> "Problem":
         """After steps ``(K, D)`` of the states, D as in `solver.normal_equations`, ``(B, 6)`` of the bars and ``(S,)``
         of the mount and all bars together (`Mount.of_drone`)."""
         poses = moved_poses(self.poses, state_step[:, : pose_size(self.tilt_sigma_rad)])
         mount, bars = self.mount, replace(_moved_bars(self.bars, bar_step), thickness=thickness)
-        if mount:
+        if mount and mount_step is not None:
             mount = mount.moved(mount_step[:-WORLD_DOF])
             T_correction = exp_about(np.zeros(3), mount_step[-WORLD_DOF:])
             segments = bars.segments.transformed(T_correction)

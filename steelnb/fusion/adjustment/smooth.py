@@ -42,7 +42,7 @@ from steelnb.fusion.mapped_scans import BarFitter, MappedScans, median_range_m
 from steelnb.fusion.point_to_bar import BarVoxels, Observations
 from steelnb.fusion.sections import shapes
 from steelnb.fusion.sections.shapes import frames
-from steelnb.settings import ImuSettings, StructureSettings
+from steelnb.settings import ImuSettings, MountSettings, StructureSettings
 
 Stages = tuple[tuple[int, int], ...]
 """Stages ``(n, steps)`` of an adjustment: number of steps with one in n pixels."""
@@ -61,10 +61,10 @@ def adjust(
     """Adjust the poses of scans and the bars of `BarFitter.find_and_fit` together; returns also the equations of the
     last step.
 
-    ``prior`` and ``stamp_s`` as for `solver.improve`, ``tilt_sigma_rad``, ``inertial``, ``mount`` and ``drift`` as for `Problem`;
-    with a ``mount``, ``prior`` and ``inertial`` are about the drone. ``before``:
-    an earlier adjustment of the same flight, whose range noise and thickness are the first estimates. All steps of a
-    stage use the same points. Without an earlier adjustment, these include points far from the front faces.
+    ``prior`` and ``stamp_s`` as for `solver.improve`, ``tilt_sigma_rad``, ``inertial``, ``mount`` and ``drift`` as for
+    `Problem`; with a ``mount``, ``prior`` and ``inertial`` are about the drone. ``before``: an earlier adjustment of
+    the same flight, whose range noise and thickness are the first estimates. All steps of a stage use the same points.
+    Without an earlier adjustment, these include points far from the front faces.
 
     Raises `InputError` if fewer than ``bars_min`` bars have a known section.
     """
@@ -114,14 +114,13 @@ HOLD = 1e-6
 """Information added to keep the matrix of free poses positive definite: a standard deviation of 1 km."""
 
 
-def marginals(
-    problem: Problem, equations: PointEquations, prior: Array, stamp_s: Array
-) -> tuple[Array, Array, Array]:
+def marginals(problem: Problem, equations: PointEquations, prior: Array, stamp_s: Array) -> tuple[Array, Array, Array]:
     """The marginal covariances of the state of an adjustment; the arguments are those of `solver.improve`.
 
     Returns those of the steps of the `Problem.poses` ``(K, D, D)`` (`factors`), zero for the fixed first one; of the
     bars ``(B, 6, 6)``: position of the middle (2) and direction (2) in the frame ``across``, rotation and flange; and
-    of the free unknowns of the mount. What no point determines has the standard deviation `problem.BAR_SIGMA`; for directions, 0.5 m per metre.
+    of the free unknowns of the mount. What no point determines has the standard deviation `problem.BAR_SIGMA`; for
+    directions, 0.5 m per metre.
 
     Raises `InputError` with the free direction if a pose is not constrained.
     """
@@ -146,8 +145,9 @@ def marginals(
     bar = inverse[: BAR_DOF * n, : BAR_DOF * n].reshape(n, BAR_DOF, n, BAR_DOF)[range(n), :, range(n)]
     if problem.mount:
         by_world, across = _by_world(problem.bars), inverse[: BAR_DOF * n, -WORLD_DOF:].reshape(n, BAR_DOF, WORLD_DOF)
-        both = across @ by_world.transpose(0, 2, 1)
-        bar = bar + both + both.transpose(0, 2, 1) + by_world @ shared[-WORLD_DOF:, -WORLD_DOF:] @ by_world.transpose(0, 2, 1)
+        onto = by_world.transpose(0, 2, 1)
+        both = across @ onto
+        bar = bar + both + both.transpose(0, 2, 1) + by_world @ shared[-WORLD_DOF:, -WORLD_DOF:] @ onto
         shared = shared[:-WORLD_DOF, :-WORLD_DOF]
     return pose, bar, shared
 
@@ -254,7 +254,7 @@ def smooth(
     settings: StructureSettings | None = None,
     tilt_sigma_rad: float = 0.0,
     imu: ImuSettings | None = None,
-    mount_sigma: Array | None = None,
+    known: MountSettings | None = None,
 ) -> Estimate:
     """The estimate of a flight with all its poses and bars adjusted together (`adjustment.solver`).
 
@@ -265,8 +265,7 @@ def smooth(
     settings : of the bars, as for `reconstruct`.
     tilt_sigma_rad : standard deviation of the prior's roll and pitch; if 0, they are fixed.
     imu : errors from the IMU's data sheet; if given, its readings are factors (`imu_factors`).
-    mount_sigma : (7,), standard deviations of the flight's mount and of the delay of its stamps (`mount.Mount`); what
-        has 0, by default all, is known.
+    known : how well the mount of the flight and its clock are known; by default, they are.
 
     Returns
     -------
@@ -282,14 +281,14 @@ def smooth(
     check_same_stamps(estimate.corrected.stamp_s, "estimate", flight.prior.stamp_s, "the scans of the flight")
     if (origin := flight.origin).any():
         near = flight.moved(-origin)
-        found = smooth(near, estimate.moved(-origin, near.prior), settings, tilt_sigma_rad, imu, mount_sigma)
+        found = smooth(near, estimate.moved(-origin, near.prior), settings, tilt_sigma_rad, imu, known)
         return found.moved(origin, estimate.prior)
     stamp_s, T_drone_sensor = flight.prior.stamp_s, flight.T_drone_sensor
     prior, T = flight.prior.T_world_drone @ T_drone_sensor, estimate.corrected.T_world_drone @ T_drone_sensor
     before, inertial, mount, of_poses = None, None, None, T_drone_sensor
-    if mount_sigma is not None and np.any(mount_sigma):
+    if known is not None and known.sigma.any():
         prior, of_poses = flight.prior.T_world_drone, np.eye(4)
-        mount = Mount.started(flight, mount_sigma)
+        mount = Mount.started(flight, known.sigma)
     if imu is not None and flight.imu is not None:
         check_overlap(flight.imu, flight.prior)
         inertial = Inertial.started(flight.imu, imu, of_poses, estimate.corrected)
@@ -326,5 +325,5 @@ def smooth(
     return replace(
         estimate, corrected=Trajectory(stamp_s, poses @ np.linalg.inv(of_poses)), points=scans.voxels.means(),
         segments=bars.segments, unsmoothed="", pose_covariance=pose_covariance, axis_covariance=axis_covariance,
-        unsure=unsure, thickness=state.bars.thickness, mount=mount and found_mount(mount, mount_covariance),
+        unsure=unsure, thickness=state.bars.thickness, mount=found_mount(mount, mount_covariance) if mount else None,
     )  # fmt: skip

@@ -38,7 +38,7 @@ def improve(problem: Problem, equations: PointEquations, prior: Array, stamp_s: 
     thickness, by_thickness = common_thickness(problem, equations)
     ratio = noise_ratio(equations.residuals, problem.sigma_ratio)
     bar_step = bar_step.reshape(-1, BAR_DOF) + by_thickness
-    return problem.moved(state_step, bar_step, mount_step, ratio, thickness)
+    return problem.moved(state_step, bar_step, ratio, thickness, mount_step)
 
 
 def normal_equations(
