@@ -17,8 +17,9 @@ import numpy as np
 from steelnb.core.errors import InputError
 from steelnb.core.geometry import information_at, moved_poses, pose_step
 from steelnb.core.types import Array, Imu, Scan, Segments, Trajectory
-from steelnb.fusion.adjustment.factors import DRIFT_PERIOD_S, DRIFT_SIGMA, TILT_SIGMA_RAD
+from steelnb.fusion.adjustment.factors import DRIFT_PERIOD_S, DRIFT_SIGMA, TILT_SIGMA_RAD, drift_ratio
 from steelnb.fusion.adjustment.imu_factors import Inertial
+from steelnb.fusion.adjustment.mount import Mount
 from steelnb.fusion.adjustment.problem import Problem, pose_size
 from steelnb.fusion.adjustment.smooth import adjust
 from steelnb.fusion.bars import VOXEL_M
@@ -72,6 +73,10 @@ class FaceOdometry(BaseOdometry):
         self.keyframes = Keyframes(StructureSettings.of(self.settings.preprocess), self.tilt_sigma_rad)
         if self.inertial:
             self.keyframes.readings = self.inertial.imu, self.inertial.noise, self.T_drone_sensor
+        sigma = self.settings.mount.sigma
+        sigma[6] = 0.0  # a delay needs the prior between scans
+        if sigma.any() and not self.settings.smooth:
+            self.keyframes.mount = Mount.known_as(self.T_drone_sensor, sigma)
         self.faces: Locator | None = None
         self._stamp_s, self._keyframe_s, self._refit_s = -np.inf, -np.inf, np.inf
         # The step from the estimate to the output pose.
@@ -137,7 +142,8 @@ class FaceOdometry(BaseOdometry):
         """Add a scan to the keyframes, and to the map of points unless it is ``mapped`` already."""
         s, T_sensor = self.settings.preprocess, T_world_drone @ self.T_drone_sensor
         points = points_in_range(scan, T_sensor, s.crop_m, s.floor_m, KEYFRAME_POINTS)
-        self._waiting.append((scan, points, T_sensor, prior @ self.T_drone_sensor))
+        of_prior = prior if self.keyframes.mount else prior @ self.T_drone_sensor
+        self._waiting.append((scan, points, T_sensor, of_prior))
         self._keyframe_s = scan.stamp_s
         if self._adjustment is None:
             self._start_adjustment()
@@ -177,7 +183,15 @@ class FaceOdometry(BaseOdometry):
             return
         state, faces = adjusted
         T_correction = state.T_world_sensor[-1] @ np.linalg.inv(self._adjusted_from)
-        self._waiting = [(scan, points, T_correction @ T, prior) for scan, points, T, prior in self._waiting]
+        T_sensor_sensor = np.eye(4)
+        if state.mount:
+            T_correction = state.poses[-1] @ np.linalg.inv(self._adjusted_from @ self.T_sensor_drone)
+            T_sensor_sensor = self.T_sensor_drone @ state.mount.T_drone_sensor
+            self.T_drone_sensor = self.clouds.T_drone_sensor = state.mount.T_drone_sensor
+            self.T_sensor_drone = np.linalg.inv(self.T_drone_sensor)
+        self._waiting = [
+            (scan, points, T_correction @ T @ T_sensor_sensor, prior) for scan, points, T, prior in self._waiting
+        ]
         faces.ratio = self.faces.ratio if self.faces else state.sigma_ratio
         faces.stamp_s, faces.variance = self._stamp_s, REFITTED_SIGMA[-len(self._lag) :] ** 2
         self.faces = faces
@@ -192,6 +206,9 @@ class FaceOdometry(BaseOdometry):
         return moved_poses(T_world_drone[None], self._lag[None])[0] if self._lag.any() else T_world_drone
 
 
+MOUNT_STAGES = ((1, 4),)
+DRIFT_KNOWN_S = 30.0
+BLURRED_RAD, BLURRED_M = 0.005, 0.02
 FITS, STAGES = 2, ((1, 2),)
 """Number of times that bars are fitted before an adjustment, and its stages (`smooth.Stages`)."""
 KEYFRAMES_MAX, RECENT = 400, 100
@@ -210,6 +227,8 @@ class Keyframes:
     def __init__(self, settings: StructureSettings, tilt_sigma_rad: float = 0.0) -> None:
         self.settings, self.tilt_sigma_rad = settings, tilt_sigma_rad
         self.readings: tuple[Imu, ImuSettings, Array] | None = None
+        self.mount: Mount | None = None
+        self._drift: Array | float = 1.0
         self.voxels = VoxelMap(VOXEL_M)
         self.scans: list[Scan] = []
         self.T_world_sensor, self._prior = np.zeros((2, 0, 4, 4))
@@ -235,15 +254,36 @@ class Keyframes:
         stamp_s, inertial = np.array([scan.stamp_s for scan in self.scans]), None
         if self.readings:
             imu, noise, mount = self.readings
+            of_drone = mount if self.mount is None else self.mount.T_drone_sensor
             inertial = Inertial.started(
-                imu, noise, mount, Trajectory(stamp_s, self.T_world_sensor @ np.linalg.inv(mount))
-            )
+                imu, noise, mount if self.mount is None else np.eye(4),
+                Trajectory(stamp_s, self.T_world_sensor @ np.linalg.inv(of_drone)),
+            )  # fmt: skip
+        if self.mount:
+            self.mount = self.mount.at(Trajectory(stamp_s, self._prior))
         try:
             state, _ = adjust(
-                mapped, self._prior, stamp_s, STAGES, FITS, every=1, bars_min=MATCHED_BARS_MIN,
-                tilt_sigma_rad=self.tilt_sigma_rad, inertial=inertial, before=self._before,
+                mapped, self._prior, stamp_s, STAGES if self.mount is None else MOUNT_STAGES, FITS, every=1,
+                bars_min=MATCHED_BARS_MIN, tilt_sigma_rad=self.tilt_sigma_rad, inertial=inertial, before=self._before,
+                mount=self.mount, drift=self._drift,
             )  # fmt: skip
         except InputError:
             return None
         self.T_world_sensor, self._before = state.T_world_sensor, state
+        if state.mount:
+            self._follow(state, stamp_s)
         return state
+
+    def _follow(self, state: Problem, stamp_s: Array) -> None:
+        """Continue with the mount of an adjustment. Voxels that a wrong one has blurred are made anew."""
+        assert self.mount is not None and state.mount is not None
+        step = np.abs(state.mount.error - self.mount.error)
+        self.mount = state.mount
+        if np.ndim(self._drift) == 0 and np.ptp(stamp_s) > DRIFT_KNOWN_S:
+            self._drift = drift_ratio(state.poses, self._prior, stamp_s, len(self.mount.free))
+        if step[:3].max() < BLURRED_RAD and step[3:6].max() < BLURRED_M:
+            return
+        self.voxels = VoxelMap(VOXEL_M)
+        for scan, T in zip(self.scans, self.T_world_sensor, strict=True):
+            insert_scan(self.voxels, scan, T, self.settings)
+        self._before = None

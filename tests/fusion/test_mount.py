@@ -162,6 +162,6 @@ def test_sigmas_that_are_no_errors_are_refused(changes, says):
 
 def test_only_smoothing_estimates_a_mount():
     with pytest.raises(InputError, match="only smoothing estimates it"):
-        ExperimentSettings.preset(method="faces", overrides={"mount.rotation_sigma_deg": 1.0})
+        ExperimentSettings.preset(method="best", overrides={"mount.rotation_sigma_deg": 1.0})
     settings = ExperimentSettings.preset(method="smoothed", overrides={"mount.rotation_sigma_deg": 1.0})
     assert settings.odometry.mount.sigma[:3] == pytest.approx(np.radians(1.0))

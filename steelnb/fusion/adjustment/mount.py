@@ -76,6 +76,16 @@ class Mount:
         stated, path = flight.T_drone_sensor, flight.prior if flight.path is None else flight.path
         return cls(stated, np.asarray(sigma, dtype=float), flight.prior, path, stated)
 
+    @classmethod
+    def known_as(cls, stated: Array, sigma: Array) -> "Mount":
+        """A mount before any scan, for `at`."""
+        nowhere = Trajectory(np.zeros(0), np.zeros((0, 4, 4)))
+        return cls(stated, sigma, nowhere, nowhere, stated)
+
+    def at(self, prior: Trajectory) -> "Mount":
+        """The same mount and delay for the scans with the drifting poses ``prior``, and no others in between."""
+        return replace(self, prior=prior, path=prior)
+
     @property
     def free(self) -> IntArray:
         """Numbers of the unknowns that have a standard deviation."""
