@@ -54,7 +54,8 @@ class FaceOdometry(BaseOdometry):
     """Corrects a drifting pose by the front faces of bars, with odometry by clouds as the fallback.
 
     After an adjustment, the output pose catches up gradually, by at most `DRIFT_SIGMA` per scan, so it never jumps.
-    Adjustments also use the readings of an ``imu``. The fallback has the same settings and shares its prediction.
+    Adjustments also use the readings of an ``imu``. The fallback has the same settings and shares its prediction. If
+    the settings say that the mount is not known, adjustments estimate it, and ``T_drone_sensor`` is their latest one.
     """
 
     kind, method, uses = FaceSettings, "faces", ("imu",)
@@ -75,7 +76,7 @@ class FaceOdometry(BaseOdometry):
             self.keyframes.readings = self.inertial.imu, self.inertial.noise, self.T_drone_sensor
         sigma = self.settings.mount.sigma
         sigma[6] = 0.0  # a delay needs the prior between scans
-        if sigma.any() and not self.settings.smooth:
+        if sigma.any():
             self.keyframes.mount = Mount.known_as(self.T_drone_sensor, sigma)
         self.faces: Locator | None = None
         self._stamp_s, self._keyframe_s, self._refit_s = -np.inf, -np.inf, np.inf
@@ -206,11 +207,14 @@ class FaceOdometry(BaseOdometry):
         return moved_poses(T_world_drone[None], self._lag[None])[0] if self._lag.any() else T_world_drone
 
 
-MOUNT_STAGES = ((1, 4),)
-DRIFT_KNOWN_S = 30.0
-BLURRED_RAD, BLURRED_M = 0.005, 0.02
 FITS, STAGES = 2, ((1, 2),)
 """Number of times that bars are fitted before an adjustment, and its stages (`smooth.Stages`)."""
+MOUNT_STAGES = ((1, 4),)
+"""With an unknown mount, the first adjustment has far to go."""
+DRIFT_KNOWN_S = 30.0
+"""Time of flight after which the level of the drift is measured, if the mount is unknown."""
+BLURRED_RAD, BLURRED_M = 0.005, 0.02
+"""A larger change of the mount has blurred the voxels of earlier keyframes."""
 KEYFRAMES_MAX, RECENT = 400, 100
 """Above this number every second keyframe is dropped, except the first and the most recent ones. This bounds the time
 of an adjustment."""
@@ -276,7 +280,8 @@ class Keyframes:
 
     def _follow(self, state: Problem, stamp_s: Array) -> None:
         """Continue with the mount of an adjustment. Voxels that a wrong one has blurred are made anew."""
-        assert self.mount is not None and state.mount is not None
+        assert self.mount is not None
+        assert state.mount is not None
         step = np.abs(state.mount.error - self.mount.error)
         self.mount = state.mount
         if np.ndim(self._drift) == 0 and np.ptp(stamp_s) > DRIFT_KNOWN_S:

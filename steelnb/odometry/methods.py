@@ -19,7 +19,7 @@ from steelnb.odometry.orb import OrbOdometry
 from steelnb.odometry.report_clouds import ReportCloudOdometry
 from steelnb.odometry.report_segments import ReportSegmentOdometry
 from steelnb.odometry.segments import SegmentOdometry
-from steelnb.settings import OdometrySettings, StructureSettings
+from steelnb.settings import MountSettings, OdometrySettings, StructureSettings
 
 ODOMETRIES: dict[str, type[BaseOdometry]] = {
     "segments": SegmentOdometry,
@@ -54,7 +54,8 @@ def correct(
     """Correct a flight with the method of the settings, scan by scan.
 
     With ``smooth``, all poses and bars are then adjusted together (`fusion.adjustment.smooth`). Smoothing time is
-    divided evenly over the scans. ``on_step`` and ``before`` as for `run`. ``own`` is a class that replaces the
+    divided evenly over the scans. If the mount is not known, the flight is corrected twice before: some degrees off, an
+    odometry loses itself, or its map is turned while the mount is found. ``on_step`` and ``before`` as for `run`. ``own`` is a class that replaces the
     odometry of the settings (`load_odometry`). Raises `InputError` as `run` does.
 
     Poses far from zero, such as in UTM, are moved near it for the work (`Flight.origin`), and results back."""
@@ -65,17 +66,28 @@ def correct(
         return found.moved(origin, flight.prior)
     noise = getattr(settings, "inertial", None)
     odometry: Odometry
+    T_drone_sensor, in_flight = flight.T_drone_sensor, settings
     if own is None:
-        odometry = make_odometry(settings, flight.T_drone_sensor, flight.imu, flight.images)
+        if settings.smooth and settings.mount.sigma[:6].any():
+            T_drone_sensor, in_flight = mount_in_flight(flight, settings), settings.replace(mount=MountSettings())
+        odometry = make_odometry(in_flight, T_drone_sensor, flight.imu, flight.images)
     else:
         odometry = make_own(own, flight)
     estimate, structure = run(flight, odometry, on_step, before), StructureSettings.of(settings.preprocess)
     if estimate.pose_covariance is not None:
-        T = estimate.corrected.T_world_drone @ flight.T_drone_sensor
+        T = estimate.corrected.T_world_drone @ T_drone_sensor
         estimate = replace(estimate, pose_covariance=with_range_sigmas(estimate.pose_covariance, flight, T, structure))
     if not settings.smooth:
         return estimate
     begin = time.perf_counter()
-    estimate = smooth(flight, estimate, structure, getattr(settings, "tilt_sigma_rad", 0.0), noise, settings.mount)
+    tilt_sigma_rad = getattr(settings, "tilt_sigma_rad", 0.0)
+    estimate = smooth(flight, estimate, structure, tilt_sigma_rad, noise, settings.mount, T_drone_sensor)
     smooth_s = np.full(len(flight), (time.perf_counter() - begin) / max(len(flight), 1))
     return replace(estimate, seconds={**estimate.seconds, "smooth": smooth_s})
+
+
+def mount_in_flight(flight: Flight, settings: OdometrySettings) -> Array:
+    """The mount ``(4, 4)`` that an odometry with these settings ends with; the stated one if it estimates none."""
+    odometry = make_odometry(settings, flight.T_drone_sensor, flight.imu, flight.images)
+    run(flight, odometry)
+    return odometry.T_drone_sensor

@@ -71,10 +71,11 @@ class Mount:
     late_s: float = 0.0
 
     @classmethod
-    def started(cls, flight: Flight, sigma: Array) -> "Mount":
-        """Start at the stated mount of a flight without a delay."""
+    def started(cls, flight: Flight, sigma: Array, T_drone_sensor: Array | None = None) -> "Mount":
+        """Start without a delay at the mount ``T_drone_sensor (4, 4)``, by default the stated one of the flight."""
         stated, path = flight.T_drone_sensor, flight.prior if flight.path is None else flight.path
-        return cls(stated, np.asarray(sigma, dtype=float), flight.prior, path, stated)
+        start = stated if T_drone_sensor is None else T_drone_sensor
+        return cls(stated, np.asarray(sigma, dtype=float), flight.prior, path, start)
 
     @classmethod
     def known_as(cls, stated: Array, sigma: Array) -> "Mount":

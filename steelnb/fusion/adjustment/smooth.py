@@ -255,6 +255,7 @@ def smooth(
     tilt_sigma_rad: float = 0.0,
     imu: ImuSettings | None = None,
     known: MountSettings | None = None,
+    T_drone_sensor: Array | None = None,
 ) -> Estimate:
     """The estimate of a flight with all its poses and bars adjusted together (`adjustment.solver`).
 
@@ -266,6 +267,7 @@ def smooth(
     tilt_sigma_rad : standard deviation of the prior's roll and pitch; if 0, they are fixed.
     imu : errors from the IMU's data sheet; if given, its readings are factors (`imu_factors`).
     known : how well the mount of the flight and its clock are known; by default, they are.
+    T_drone_sensor : (4, 4), the mount that the odometry assumed, if it is not that of the flight.
 
     Returns
     -------
@@ -281,14 +283,14 @@ def smooth(
     check_same_stamps(estimate.corrected.stamp_s, "estimate", flight.prior.stamp_s, "the scans of the flight")
     if (origin := flight.origin).any():
         near = flight.moved(-origin)
-        found = smooth(near, estimate.moved(-origin, near.prior), settings, tilt_sigma_rad, imu, known)
+        found = smooth(near, estimate.moved(-origin, near.prior), settings, tilt_sigma_rad, imu, known, T_drone_sensor)
         return found.moved(origin, estimate.prior)
-    stamp_s, T_drone_sensor = flight.prior.stamp_s, flight.T_drone_sensor
+    stamp_s, T_drone_sensor = flight.prior.stamp_s, flight.T_drone_sensor if T_drone_sensor is None else T_drone_sensor
     prior, T = flight.prior.T_world_drone @ T_drone_sensor, estimate.corrected.T_world_drone @ T_drone_sensor
     before, inertial, mount, of_poses = None, None, None, T_drone_sensor
     if known is not None and known.sigma.any():
         prior, of_poses = flight.prior.T_world_drone, np.eye(4)
-        mount = Mount.started(flight, known.sigma)
+        mount = Mount.started(flight, known.sigma, T_drone_sensor)
     if imu is not None and flight.imu is not None:
         check_overlap(flight.imu, flight.prior)
         inertial = Inertial.started(flight.imu, imu, of_poses, estimate.corrected)
