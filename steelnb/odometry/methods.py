@@ -55,8 +55,8 @@ def correct(
 
     With ``smooth``, all poses and bars are then adjusted together (`fusion.adjustment.smooth`). Smoothing time is
     divided evenly over the scans. If the mount is not known, the flight is corrected twice before: some degrees off, an
-    odometry loses itself, or its map is turned while the mount is found. ``on_step`` and ``before`` as for `run`. ``own`` is a class that replaces the
-    odometry of the settings (`load_odometry`). Raises `InputError` as `run` does.
+    odometry loses itself, or its map is turned while the mount is found. ``on_step`` and ``before`` as for `run`.
+    ``own`` is a class that replaces the odometry of the settings (`load_odometry`). Raises `InputError` as `run` does.
 
     Poses far from zero, such as in UTM, are moved near it for the work (`Flight.origin`), and results back."""
     if (origin := flight.origin).any():
