@@ -51,7 +51,7 @@ class OdometrySettings(Settings):
 
     @model_validator(mode="after")
     def _estimates_its_mount(self) -> Self:
-        if not self.smooth and self.family != "faces" and self.mount != MountSettings():
+        if self.mount != MountSettings() and not self.smooth and self.family != "faces":
             raise ValueError("mount: only smoothing estimates it; expected smooth = true, or no standard deviations")
         return self
 
