@@ -121,7 +121,7 @@ def chain(information: Information, stamp_s: Array, drift_sigma: Array = DRIFT_S
     matrix = np.kron((step.T * DRIFT_PERIOD_S / np.diff(stamp_s)) @ step, np.diag(weight))
     matrix.reshape(poses, POSE, poses, POSE)[range(poses), :, range(poses)] += information.poses[:poses]
     eliminate(matrix, poses, information.first, information.scan, information.cross, information.shift)
-    return matrix
+    return np.asarray(matrix)
 
 
 def factor(information: Information, stamp_s: Array) -> Array:

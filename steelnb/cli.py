@@ -133,17 +133,18 @@ def run(
 
         own = load_odometry(odometry) if ":" in odometry else None
         stated = read_options(
-            folder_of(recording), scans=scans, poses=poses, imu=imu, truth=truth, mount=_numbers("--mount", mount),
+            folder_of(recording), scans=scans, poses=poses, imu=imu, truth=truth,
+            mount=_numbers("--mount", mount, "0.06,0,0,0,0,0"),
             optical=_flag("--optical", optical), world=world, scans_in=scans_in, clock=clock, time_offset=time_offset,
+            mount_sigma=_numbers("--mount-sigma", mount_sigma, "1,0.01"), clock_sigma=clock_sigma,
             columns=columns and tuple(columns.split(",")), unit=unit, stamps=stamps, quaternion=quaternion,
             calib=calib and str(calib), range=range_m,
         )  # fmt: skip
         also = {"smooth": "--smooth"} if smooth else {}
         also |= {} if range_m is None else {"preprocess.crop_m": "--range"}
-        sigmas = _sigmas(mount_sigma, clock_sigma)
-        also |= {name: "--clock-sigma" if "time" in name else "--mount-sigma" for name in sigmas}
+        also |= {name: "--clock-sigma" if "time" in name else "--mount-sigma" for name in stated.sigmas}
         options: dict[str, Any] = {
-            "overrides": _overrides(changed, also) | ({"smooth": True} if smooth else {}) | sigmas
+            "overrides": _overrides(changed, also) | ({"smooth": True} if smooth else {}) | stated.sigmas
         }
         options |= {
             "range_max_m": stated.range,
@@ -272,21 +273,11 @@ def study(
     return int(len(failed) > 0)
 
 
-def _numbers(option: str, text: str | None) -> tuple[float, ...] | None:
+def _numbers(option: str, text: str | None, example: str) -> tuple[float, ...] | None:
     try:
         return None if text is None else tuple(map(float, text.split(",")))
     except ValueError:
-        raise InputError(f"{option} {text}: expected numbers, such as 0.06,0,0,0,0,0") from None
-
-
-def _sigmas(mount: str | None, clock_s: float | None) -> dict[str, Any]:
-    """The settings that --mount-sigma and --clock-sigma stand for."""
-    sigmas = {}
-    if (numbers := _numbers("--mount-sigma", mount)) is not None:
-        if len(numbers) != 2:
-            raise InputError(f"--mount-sigma {mount}: expected degrees and metres, such as 1,0.01")
-        sigmas = dict(zip(("mount.rotation_sigma_deg", "mount.translation_sigma_m"), numbers, strict=True))
-    return sigmas | ({} if clock_s is None else {"mount.time_sigma_s": clock_s})
+        raise InputError(f"{option} {text}: expected numbers, such as {example}") from None
 
 
 def _flag(option: str, text: str | None) -> bool | None:

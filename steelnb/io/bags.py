@@ -19,7 +19,7 @@ from steelnb.core.types import Array, Imu, IntArray, Trajectory
 from steelnb.io import messages as ros
 from steelnb.io.folders import CLOUDS, Recorded
 from steelnb.io.trajectories import read_trajectory, trajectory_of
-from steelnb.io.transforms import ScanFrames, Tree, scan_frames, turned_up, up_axes
+from steelnb.io.transforms import ScanFrames, Tree, check_mounts, scan_frames, turned_up, up_axes
 from steelnb.settings.recording import RecordingOptions
 
 SUFFIXES = {".bag": "rosbag reindex", ".mcap": "mcap recover", ".db3": "ros2 bag reindex"}
@@ -216,6 +216,9 @@ class _Headers:
             self.frames = [body] * len(self.frames)  # no frame matters: the poses bring the points back
         T_body_drone = up_axes(world, options.world == "ned")[1]
         frames = scan_frames(tree, world, body, self.frames, stamp_s, T_stated, is_depth, options.optical, T_body_drone)
+        if T_stated is not None and options.mount_sigma and tree.between(body, sensor):
+            of_tf = scan_frames(tree, world, body, self.frames, stamp_s, None, is_depth, options.optical, T_body_drone)
+            check_mounts(T_stated, of_tf.T_drone_sensor, options.mount_sigma)
         unplaced = ~frames.known & ~np.isnan(stamp_s)
         self.skipped["scan without a transform to the drone at its time"] += int(unplaced.sum())
         ahead_ms = 1e3 * (rows[:, 1] - rows[:, 0])

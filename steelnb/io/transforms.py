@@ -1,5 +1,6 @@
 """Frames of a recording: the tree of tf_static and tf, and the place of each scan on the drone (REP 103, REP 105)."""
 
+import math
 from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
 from itertools import pairwise
@@ -7,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from steelnb.core.errors import InputError
 from steelnb.core.geometry import transform_points
@@ -197,6 +199,18 @@ def scan_frames(
         np.linalg.inv(T_drone_sensor) @ T_drone_scan, moved, said,
         f"{chain}{others}; {'the camera has' if is_depth else 'points have'} {axes}{stated}",
     )  # fmt: skip
+
+
+def check_mounts(T_stated: Array, T_tf: Array, sigma: tuple[float, float]) -> None:
+    """Raise `InputError` if the mount that the user states and that of tf differ by more than ten of the standard
+    deviations ``sigma``, degrees and metres; what has 0 is known, whatever tf says."""
+    between = np.linalg.inv(T_tf) @ T_stated
+    off = math.degrees(Rotation.from_matrix(between[:3, :3]).magnitude()), float(np.linalg.norm(between[:3, 3]))
+    if any(0 < 10 * each < difference for each, difference in zip(sigma, off, strict=True)):
+        raise InputError(
+            f"--mount is {off[0]:.1f}° and {off[1]:.3f} m from that of tf, more than ten times --mount-sigma"
+            f" {sigma[0]:g},{sigma[1]:g}; expected no --mount, or a larger --mount-sigma"
+        )
 
 
 def turned_up(poses: Trajectory, world: str, is_stated: bool) -> Trajectory:

@@ -83,8 +83,9 @@ def at_scans(scans: Trajectory, path: Trajectory, what: str) -> tuple[Trajectory
     return found, notes
 
 
+MOUNT_AXES = ("roll", "pitch", "yaw"), ("x", "y", "z")
 MOUNT_UNITS = {
-    "roll_deg": 180 / math.pi, "pitch_deg": 180 / math.pi, "yaw_deg": 180 / math.pi, "x_m": 1.0, "y_m": 1.0, "z_m": 1.0,
+    **{f"{axis}_deg": 180 / math.pi for axis in MOUNT_AXES[0]}, **{f"{axis}_m": 1.0 for axis in MOUNT_AXES[1]},
     "late_s": 1.0,
 }  # fmt: skip
 """Parts of the step of a `MountEstimate` as numbers, and their units in those of the step."""
@@ -134,6 +135,13 @@ def evaluate(
     if (covariance := estimate.pose_covariance) is not None:
         sigma_m = np.sqrt(np.trace(covariance[:, :3, :3], axis1=1, axis2=2))
         numbers |= {"position_sigma_m": float(np.median(sigma_m)), "position_sigma_max_m": float(sigma_m.max())}
+    if estimate.mount_cost is not None:
+        units = (math.radians(1), "deg"), (0.01, "cm")
+        costs = [
+            (f"{axis}_{unit}", size) for (size, unit), axes in zip(units, MOUNT_AXES, strict=True) for axis in axes
+        ]
+        for (name, size), cost in zip(costs, estimate.mount_cost.tolist(), strict=True):
+            numbers[f"mount_cost_{name}_m"] = size * cost
     if estimate.mount is not None:
         numbers |= mount_numbers(estimate.mount)
     sizes = {"map_points": len(estimate.points), "segments": len(segments)}

@@ -6,9 +6,12 @@ from scipy.spatial.transform import Rotation
 
 from steelnb.core.types import Flight
 from steelnb.fusion.structure import Structure
+from steelnb.recording.evaluate import MOUNT_AXES
 from steelnb.recording.settings import Scene
 
 ERRORS = {"ate_rmse_m": "rms", "error_mean_m": "mean", "error_max_m": "largest", "error_final_m": "last"}
+WEAK_MM = 10.0
+"""A part of the mount that moves poses by more than this is said to be open."""
 WARNINGS = {
     "used": "no scan corrected a pose: the corrected poses are the recorded ones",
     "map_points": "the map has no points: compare range, floor, voxels and mount above with those of your sensor",
@@ -56,14 +59,38 @@ def result_lines(numbers: dict[str, float], labels: dict[str, str], structure: S
     if "position_sigma_m" in numbers:
         sigma = "sigma     of positions {position_sigma_m:.3f} m (median), {position_sigma_max_m:.3f} m at most"
         lines.append(sigma.format_map(numbers) + ", by the estimate's own covariances")
-    if "mount_yaw_deg" in numbers:
-        lines.append(mount_line(numbers))
+    lines += mount_lines(numbers)
     lines.append(f"map       {numbers['map_points']} points, {numbers['segments']} bars")
     found = f"{len(structure)} bars, {len(structure.joint)} joints"
     return [*lines, f"structure {found if len(structure) else f'empty: {structure.reason}'}"]
 
 
-def mount_line(numbers: dict[str, float]) -> str:
+def mount_lines(numbers: dict[str, float]) -> list[str]:
+    """What a mount that is off costs a smoothed flight; if it was estimated, also what it is and what is open."""
+    if "mount_cost_yaw_deg_m" not in numbers:
+        return []
+    degrees, centimetres = (
+        ", ".join(f"{1e3 * numbers[f'mount_cost_{axis}_{unit}_m']:.0f}" for axis in axes)
+        for axes, unit in zip(MOUNT_AXES, ("deg", "cm"), strict=True)
+    )
+    turns, shifts = map(", ".join, MOUNT_AXES)
+    cost = f"1° of {turns} moves poses by {degrees} mm, 1 cm of {shifts} by {centimetres} mm"
+    if "mount_yaw_deg" not in numbers:
+        return [f"mount     {cost} (--mount-sigma estimates it)"]
+    open_mm = {
+        axis: scale * numbers[f"mount_{axis}_{unit}_sigma"] * numbers[f"mount_cost_{axis}_{per}_m"]
+        for axes, unit, per, scale in zip(MOUNT_AXES, ("deg", "m"), ("deg", "cm"), (1e3, 1e5), strict=True)
+        for axis in axes
+    }
+    worst = [axis for axis, mm in open_mm.items() if mm > WEAK_MM]
+    lines = [_mount_line(numbers), f"          {cost}"]
+    if worst:
+        said = ", ".join(f"{axis}, {open_mm[axis]:.0f} mm" for axis in worst)
+        lines.append(f"          left open: {said}; a flight around the structure, at other headings, shows more")
+    return lines
+
+
+def _mount_line(numbers: dict[str, float]) -> str:
     """The estimated mount and delay of the stamps, with their standard deviations."""
     parts = (
         ("turned by", ("roll_deg", "pitch_deg", "yaw_deg"), 1.0, 2, "°"),

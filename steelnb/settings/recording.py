@@ -8,7 +8,7 @@ from pydantic import Field, field_validator
 
 from steelnb.core.errors import InputError
 from steelnb.core.types import Array
-from steelnb.settings.base import Finite, Settings
+from steelnb.settings.base import Finite, NotNegative, Settings
 from steelnb.settings.presets import read_toml
 from steelnb.settings.world import CameraSettings
 
@@ -32,6 +32,10 @@ class RecordingOptions(Settings):
     """File of the true poses, for evaluation only."""
     mount: tuple[Finite, Finite, Finite, Finite, Finite, Finite] | None = None
     """Pose of the sensor on the drone: x, y, z in metres, roll, pitch, yaw in degrees."""
+    mount_sigma: tuple[NotNegative, NotNegative] | None = None
+    """Standard deviations of that pose, or of tf's: degrees about each axis, metres along it."""
+    clock_sigma: NotNegative | None = None
+    """Standard deviation of the delay of the scans' stamps, seconds."""
     optical: bool | None = None
     """Whether z is the optical axis of the sensor's frame (x right, y down, z ahead, REP 103), not x."""
     world: Literal["enu", "ned"] = "enu"
@@ -55,6 +59,14 @@ class RecordingOptions(Settings):
     """KITTI's calib.txt, whose ``Tr`` turns the poses of the camera to those of the scanner."""
     range: Annotated[Finite, Field(gt=0)] | None = None
     """Range of the sensor, metres."""
+
+    @property
+    def sigmas(self) -> dict[str, float]:
+        """The settings of an odometry for ``mount_sigma`` and ``clock_sigma``."""
+        rotation_deg, translation_m = self.mount_sigma or (None, None)
+        names = "mount.rotation_sigma_deg", "mount.translation_sigma_m", "mount.time_sigma_s"
+        found = zip(names, (rotation_deg, translation_m, self.clock_sigma), strict=True)
+        return {name: sigma for name, sigma in found if sigma is not None}
 
     @field_validator("unit")
     @classmethod

@@ -288,9 +288,10 @@ def without(noise: str, part: str) -> str:
     return "+".join(each for each in parts if each.partition(":")[0] != part) or "none"
 
 
-TofFault = Literal["footprint", "exposure", "multipath", "amplitude", "wiggle", "calibration"]
+TofFault = Literal["footprint", "exposure", "multipath", "amplitude", "wiggle", "calibration", "mount", "latency"]
 """Faults of a real camera beside range noise: mixed pixels at edges; motion during the exposure; multipath by a second
-surface; noise and dropout that depend on the amplitude; an error periodic in the range; errors of offset and scale."""
+surface; noise and dropout that depend on the amplitude; an error periodic in the range; errors of offset and scale; a
+mount that is not where it is stated; stamps that are late."""
 SCALE_MIN, SCALE_MAX = 0.8, 1.25
 """Bounds of the measured scale of ranges: other lengths are not in metres."""
 

@@ -10,7 +10,17 @@ from steelnb.settings import PreprocessSettings, TofSettings
 from steelnb.settings.world import fitted_calibration
 from steelnb.simulation.mesh import GROUND
 from steelnb.simulation.raycasting import cast_rays, make_scene, rays
-from steelnb.simulation.tof_faults import MIDDLE, MOMENTS, Exposure, Faults, draw_faults, expose, reported_range
+from steelnb.simulation.tof_faults import (
+    LATE_S,
+    MIDDLE,
+    MOMENTS,
+    Exposure,
+    Faults,
+    draw_faults,
+    draw_mount,
+    expose,
+    reported_range,
+)
 from steelnb.simulation.tower import Tower
 from steelnb.simulation.truth import SliceCounter, Visibility
 
@@ -32,7 +42,7 @@ def scan_flight(
     settings: pinhole, mount, rate, noise, limits and faults of the sensor, whose optical axis is its x axis.
     seed: scan k takes its noise from the stream ``("tof", k)``, so a longer flight begins with the scans of a shorter
         one, and ``draw`` k > 0 from ``("tof", k, "draw", draw)``. The faults of the camera come from
-        ``("tof-camera",)``, its random rays from ``("tof-rays", k)``.
+        ``("tof-camera",)``, its mount from ``("tof-mount",)``, its random rays from ``("tof-rays", k)``.
 
     Returns K = duration × rate scans; ranges in metres along the ray, NaN for no return.
     """
@@ -42,7 +52,7 @@ def scan_flight(
     stamp_s, camera, counter = trajectory.stamp_s[index], TofCamera(tower, settings, seed), SliceCounter(tower.axes)
     range_m = np.empty((len(index), settings.rows, settings.columns), dtype=np.float32)
     poses = camera.exposure_poses(trajectory, stamp_s)
-    for k, T in enumerate(trajectory.T_world_drone[index] @ settings.T_drone_sensor):
+    for k, T in enumerate(poses[:, MIDDLE]):
         range_m[k], exposure = camera.scan_image(k, float(stamp_s[k]), poses[k])
         steel = np.flatnonzero(np.isfinite(range_m[k]) & (exposure.member >= 0))
         distance, direction = exposure.exact_m.ravel()[steel], camera.ray.reshape(-1, 3)[steel] @ T[:3, :3].T
@@ -70,14 +80,17 @@ class TofCamera:
         self.reported_ray = reported_rays(settings)
         self._faults = draw_faults(settings, rng.stream(seed, "tof-camera"))
         self._exposure_s = self._faults.exposure_s if self._faults else 0.0
-        self.latency_s = self._exposure_s * float(MOMENTS.max())
+        self._late_s = LATE_S if "latency" in settings.faults else 0.0
+        self._T_drone_sensor = draw_mount(settings, rng.stream(seed, "tof-mount"))
+        self.latency_s = max(self._exposure_s * float(MOMENTS.max()) - self._late_s, 0.0)
 
     def exposure_poses(self, trajectory: Trajectory, stamp_s: Array) -> Array:
         """True poses of the sensor ``(K, 9, 4, 4)`` at the nine moments of each exposure, centred on ``stamp_s
-        (K,)``."""
-        if self._exposure_s > 0:
-            return trajectory.between(stamp_s[:, None] + self._exposure_s * MOMENTS) @ self.settings.T_drone_sensor
-        T_world_sensor = trajectory.at(stamp_s).T_world_drone @ self.settings.T_drone_sensor
+        (K,)``, or earlier if the stamps are late."""
+        if self._exposure_s > 0 or self._late_s > 0:
+            moments_s = stamp_s[:, None] - self._late_s + self._exposure_s * MOMENTS
+            return trajectory.between(moments_s) @ self._T_drone_sensor
+        T_world_sensor = trajectory.at(stamp_s).T_world_drone @ self._T_drone_sensor
         return np.broadcast_to(T_world_sensor[:, None], (len(stamp_s), len(MOMENTS), 4, 4))
 
     def measure(

@@ -8,7 +8,7 @@ them, and a pixel in a corner measures a range that is too long. The noise depen
 standard deviation is that of the data sheet's target at the range where it returns this amplitude (shot noise, ibid.).
 
 Not modelled: multipath by the ground or by more than one other surface, occlusion of that surface, specular reflection,
-stray light in the lens, phase unwrapping errors, errors of the intrinsics, and errors of the time stamp.
+stray light in the lens, phase unwrapping errors, and errors of the intrinsics.
 """
 
 import math
@@ -16,6 +16,7 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from steelnb.core.kernels import njit
 from steelnb.core.types import Array, Floats, IntArray
@@ -80,12 +81,28 @@ STARLING2_FAULTS: dict[TofFault, dict[str, float]] = {
 
 def draw_faults(settings: TofSettings, random: np.random.Generator) -> Faults | None:
     """Draw one camera of this type, with the faults that the settings name; None if they name none."""
-    if not settings.faults:
+    sizes = [STARLING2_FAULTS[fault] for fault in settings.faults if fault in STARLING2_FAULTS]
+    if not sizes:
         return None
-    faults = Faults(**{name: size for fault in settings.faults for name, size in STARLING2_FAULTS[fault].items()})
+    faults = Faults(**{name: size for each in sizes for name, size in each.items()})
     offset, scale = random.standard_normal(2)
     return replace(faults, offset_m=faults.offset_m * offset, scale_error=faults.scale_error * scale,
                    phase_rad=random.uniform(0, 2 * math.pi))  # fmt: skip
+
+
+MOUNT_SIGMA_RAD, MOUNT_SIGMA_M, LATE_S = math.radians(1.0), 0.01, 0.02
+"""Standard deviations, per axis, of the mount of a camera on a bracket about the stated one, and the time by which a
+driver that stamps on arrival is late (assumed: read-out and transport of one image)."""
+
+
+def draw_mount(settings: TofSettings, random: np.random.Generator) -> Array:
+    """The true mount ``(4, 4)`` of a camera: the stated one, unless ``"mount"`` is among its faults."""
+    T_drone_sensor = settings.T_drone_sensor
+    if "mount" in settings.faults:
+        turn, shift = random.standard_normal((2, 3))
+        T_drone_sensor[:3, :3] = Rotation.from_rotvec(MOUNT_SIGMA_RAD * turn).as_matrix() @ T_drone_sensor[:3, :3]
+        T_drone_sensor[:3, 3] += MOUNT_SIGMA_M * shift
+    return T_drone_sensor
 
 
 class Exposure(NamedTuple):

@@ -103,6 +103,28 @@ def test_a_mount_is_found_from_the_motion_of_the_prior():
     assert with_mount < without
 
 
+def test_what_a_mount_costs_is_how_far_the_poses_move_with_it():
+    T, bars, observed = made_up(1, 0.002)
+    stated = np.eye(4)
+
+    def poses(T_drone_sensor):
+        sensor = T @ T_drone_sensor  # the prior knows the drone's poses, and takes the sensor to be there
+        state = problem.start(sensor, sensor, bars)
+        for _ in range(15):
+            equations = factors.linearised(state, observed)
+            state = solver.improve(state, equations, sensor, STAMP_S)
+        return state, equations, state.T_world_sensor @ np.linalg.inv(T_drone_sensor)
+
+    state, equations, found = poses(stated)
+    cost = smooth.mount_cost(state, equations, Flight(empty_scans(), Trajectory(STAMP_S, T), stated), stated)
+    for part in range(6):
+        off, step = stated.copy(), np.zeros(6)
+        step[part] = 0.002
+        off[:3, :3], off[:3, 3] = Rotation.from_rotvec(step[:3]).as_matrix(), step[3:]
+        moved = np.linalg.norm((poses(off)[2] - found)[:, :3, 3], axis=1)
+        assert np.sqrt((moved**2).mean()) / 0.002 == pytest.approx(cost[part], rel=0.15, abs=0.02)
+
+
 def test_a_mount_that_is_practically_known_changes_nothing():
     T, bars, observed = made_up(1, 0.002)
     state, equations = solved(SIGMA * 1e-7, T, bars, observed, T, steps=4)

@@ -163,6 +163,18 @@ def test_clock_and_unit_scale_and_shift_what_is_read(
         np.testing.assert_allclose(scan.points, clouds[0] * metres)
 
 
+def test_a_mount_that_differs_from_tf_by_more_than_ten_of_its_sigmas_is_refused(one: Bagged) -> None:
+    path = one.clouds().odometry().tf("base_link", "tof", T_of((0, 0, 1))).write()
+    lower, sigma = {"mount": (0, 0, 0.8, 0, 0, 0)}, {"mount_sigma": (1.0, 0.01)}
+    assert read_flight(path, **lower).T_drone_sensor[2, 3] == pytest.approx(0.8)
+    with pytest.raises(InputError, match=r"--mount is 0.0° and 0.200 m from that of tf.*--mount-sigma 1,0.01"):
+        read_flight(path, **lower, **sigma)
+    with pytest.raises(InputError, match=r"--mount is 20.0° and 0.000 m"):
+        read_flight(path, mount=(0, 0, 1, 0, 20, 0), **sigma)
+    for other in ({"mount": (0, 0, 0.95, 0, 5, 0)}, {}):
+        read_flight(path, **other, **sigma)
+
+
 @pytest.mark.parametrize("option", [{"imu": "/imu"}, {"clock": "bag"}])
 def test_a_folder_refuses_what_only_a_bag_has(tmp_path: Path, option: dict[str, str]) -> None:
     folder = folder_of(tmp_path / "a", [POINTS] * len(STAMPS), poses(len(STAMPS)))

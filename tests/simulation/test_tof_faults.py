@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from steelnb.core import rng
 from steelnb.core.types import Trajectory
@@ -13,13 +14,16 @@ from steelnb.simulation.flight import pose_on_path
 from steelnb.simulation.raycasting import cast_rays, make_scene, rays
 from steelnb.simulation.tof import TofCamera, measured_ranges, take_view
 from steelnb.simulation.tof_faults import (
+    LATE_S,
     MIDDLE,
     MOMENTS,
+    MOUNT_SIGMA_RAD,
     STARLING2_FAULTS,
     WIGGLE_PERIOD_M,
     Faults,
     amplitudes,
     draw_faults,
+    draw_mount,
     expose,
     fill_bundle,
     mix_phasors,
@@ -152,6 +156,32 @@ def test_exposures_are_centred_on_the_stamps():
         scan_flight(tower_of(wall(4.0)), trajectory, SMALL.replace(faults=each), 1)[0] for each in (("exposure",), ())
     )
     np.testing.assert_allclose(blurred.range_m[1:], sharp.range_m[1:], atol=5e-4)  # half the exposure is 30 mm
+
+
+def test_late_stamps_are_those_of_earlier_images():
+    trajectory = moving(np.array([2.0, 0.0, 0.0]))
+    late, right = (
+        scan_flight(tower_of(wall(4.0)), trajectory, SMALL.replace(faults=each), 1)[0] for each in (("latency",), ())
+    )
+    middle = np.s_[1:, SMALL.rows // 2, SMALL.columns // 2]
+    np.testing.assert_array_equal(late.stamp_s, right.stamp_s)
+    np.testing.assert_allclose(late.range_m[middle] - right.range_m[middle], 2.0 * LATE_S, rtol=0.01)
+
+
+def test_a_camera_on_a_bracket_is_not_where_it_is_stated():
+    named = SMALL.replace(faults=("mount",))
+    trajectory, scene = moving(np.array([0.2, 0.0, 0.0])), tower_of(wall(4.0, lean=0.5))
+    found = scan_flight(scene, trajectory, named, 3)[0]
+    drawn = np.array([named.T_drone_sensor] * 2)
+    drawn[1] = draw_mount(named, rng.stream(3, "tof-mount"))
+    camera = walls(wall(4.0, lean=0.5))
+    stated, true = (seen(camera, Faults(), T=trajectory.T_world_drone[0] @ T).range_m for T in drawn)
+    np.testing.assert_allclose(found.range_m[0], true, atol=1e-4)
+    assert np.abs(true - stated).max() > 0.01
+    turns = [draw_mount(named, rng.stream(seed, "tof-mount"))[:3, :3] @ drawn[0, :3, :3].T for seed in range(300)]
+    sizes = Rotation.from_matrix(np.array(turns)).as_rotvec()
+    np.testing.assert_allclose(sizes.std(axis=0), MOUNT_SIGMA_RAD, rtol=0.15)
+    assert named.T_drone_sensor.tolist() == SMALL.T_drone_sensor.tolist()
 
 
 def test_regression_recovers_offset_scale_and_wiggle_of_a_camera():

@@ -153,6 +153,16 @@ def linearised(problem: Problem, observations: Observations) -> PointEquations:
     )  # fmt: skip
 
 
+def with_all_freedom(problem: Problem, equations: PointEquations) -> PointEquations:
+    """The equations of an adjustment, but about all six degrees of freedom of its poses, and without their vector."""
+    T, bars, scan, bar = problem.T_world_sensor, problem.bars, equations.pair_scan, equations.pair_bar
+    start, direction, length, across, *_ = bars.faces()
+    by_pose = _bar_motion(T[scan, :3, 3] - start[bar], direction[bar], length[bar], across[bar], POSE_DOF)
+    cross = by_pose @ equations.shares
+    matrix = summed(cross @ by_pose.transpose(0, 2, 1), scan, len(T))
+    return equations._replace(matrix=matrix, vector=np.zeros((len(T), POSE_DOF)), cross=cross)
+
+
 def _bar_motion(sensor: Array, direction: Array, length: Array, across: Array, size: int) -> Array:
     """Jacobians ``(P, size, 7)`` of the apparent motion of each pair's bar with respect to the pose that observes it.
     ``sensor (P, 3)``: vector from the start of the bar to the sensor, world frame."""

@@ -32,6 +32,7 @@ from steelnb.fusion.adjustment.factors import (
     drift_variance,
     linearised,
     summed,
+    with_all_freedom,
 )
 from steelnb.fusion.adjustment.imu_factors import Inertial, check_overlap
 from steelnb.fusion.adjustment.mount import MOUNT_DOF, WORLD_DOF, Mount
@@ -150,6 +151,28 @@ def marginals(problem: Problem, equations: PointEquations, prior: Array, stamp_s
         bar = bar + both + both.transpose(0, 2, 1) + by_world @ shared[-WORLD_DOF:, -WORLD_DOF:] @ onto
         shared = shared[:-WORLD_DOF, :-WORLD_DOF]
     return pose, bar, shared
+
+
+def mount_cost(problem: Problem, equations: PointEquations, flight: Flight, T_drone_sensor: Array) -> Array:
+    """By how much the positions of the drone would be wrong ``(6,)``, a root mean square over the scans, if the mount
+    were: metres per radian about each axis of the drone, and per metre along it.
+
+    That is how the solution of the equations of an adjustment moves with the mount they take for known.
+    """
+    free = np.append(np.ones(6), 0.0)
+    mount = replace(problem.mount, sigma=free) if problem.mount else Mount.started(flight, free, T_drone_sensor)
+    of_drone = replace(problem, mount=mount, inertial=None)
+    prior, stamp_s = flight.prior.T_world_drone, flight.prior.stamp_s
+    equations = with_all_freedom(problem, equations)
+    (matrix, beside, _), between, shared, _ = normal_equations(of_drone, equations, prior, stamp_s)
+    chain = Chain.factored(matrix + HOLD * np.eye(matrix.shape[1]), beside)
+    forward = chain.forward(between)
+    flat, n = forward.reshape(-1, forward.shape[2]), BAR_DOF * len(equations.block)
+    eliminated, off = shared - flat.T @ flat, np.arange(n, n + 6)
+    others = np.delete(np.arange(len(shared)), off)
+    follow = np.linalg.solve(eliminated[np.ix_(others, others)], eliminated[np.ix_(others, off)])
+    step = chain.backward(forward[:, :, off] - forward[:, :, others] @ follow)[:, -3:]
+    return np.asarray(np.sqrt((step**2).sum(axis=1).mean(axis=0)))
 
 
 def _by_world(bars: Bars) -> Array:
@@ -313,9 +336,10 @@ def smooth(
         T, before, inertial, mount = state.T_world_sensor, state, state.inertial, state.mount
     bars = state.bars.take(state.bars.is_bar)
     poses, unmeasured_s = mount.at_stamps(T) if mount else (T, 0.0)
-    pose_covariance, axis_covariance, mount_covariance, unsure = None, None, None, ""
+    pose_covariance, axis_covariance, mount_covariance, cost, unsure = None, None, None, None, ""
     try:
         pose, bar, mount_covariance = marginals(state, equations, prior, stamp_s)
+        cost = mount_cost(state, equations, flight, T_drone_sensor)
         pose_covariance = pose_covariances(pose, poses, of_poses)
         if np.any(unmeasured_s):
             order = [5, 0, 1, 2]
@@ -328,4 +352,5 @@ def smooth(
         estimate, corrected=Trajectory(stamp_s, poses @ np.linalg.inv(of_poses)), points=scans.voxels.means(),
         segments=bars.segments, unsmoothed="", pose_covariance=pose_covariance, axis_covariance=axis_covariance,
         unsure=unsure, thickness=state.bars.thickness, mount=found_mount(mount, mount_covariance) if mount else None,
+        mount_cost=cost,
     )  # fmt: skip
