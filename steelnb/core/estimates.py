@@ -71,13 +71,21 @@ class MountEstimate:
 
     ``T_drone_sensor (4, 4)``; ``late_s``: time by which stamps are later than the measurements; ``step (7,)``: rotation
     vector (rad) and translation (m) in the frame of the drone from the stated mount, and the delay; ``covariance
-    (7, 7)`` of that step, with zeros for what is known, None if it is not determined.
+    (7, 7)`` of that step, with zeros for what is known, None if it is not determined. ``T_world_sensor (K, 4, 4)``:
+    the sensor when it took the scans.
     """
 
     T_drone_sensor: Array
     late_s: float
     step: Array
     covariance: Array | None
+    T_world_sensor: Array
+
+    def moved(self, by: Array) -> "MountEstimate":
+        """The same mount in a flight translated by ``by (3,)``, metres."""
+        T_world_sensor = self.T_world_sensor.copy()
+        T_world_sensor[:, :3, 3] = translated(T_world_sensor[:, :3, 3], by)
+        return replace(self, T_world_sensor=T_world_sensor)
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,8 +150,13 @@ class Estimate:
         """The estimate translated by ``by (3,)``, metres, where the uncorrected poses are ``prior``."""
         return replace(
             self, prior=prior, corrected=self.corrected.moved(by), points=self.points + by,
-            segments=self.segments.moved(by),
+            segments=self.segments.moved(by), mount=self.mount and self.mount.moved(by),
         )  # fmt: skip
+
+    def sensor_poses(self, T_drone_sensor: Array) -> Array:
+        """Poses ``(K, 4, 4)`` of the sensor when it took the scans, where its mount is ``T_drone_sensor (4, 4)`` unless
+        it was estimated."""
+        return self.mount.T_world_sensor if self.mount else self.corrected.T_world_drone @ T_drone_sensor
 
     @property
     def on_time_share(self) -> float:

@@ -68,8 +68,11 @@ def correct(
     odometry: Odometry
     T_drone_sensor, in_flight = flight.T_drone_sensor, settings
     if own is None:
-        if settings.smooth and settings.mount.sigma[:6].any():
-            T_drone_sensor, in_flight = mount_in_flight(flight, settings), settings.replace(mount=MountSettings())
+        if settings.corrects_twice:
+            T_drone_sensor, in_flight = (
+                mount_in_flight(flight, settings, on_step),
+                settings.replace(mount=MountSettings()),
+            )
         odometry = make_odometry(in_flight, T_drone_sensor, flight.imu, flight.images)
     else:
         odometry = make_own(own, flight)
@@ -86,8 +89,8 @@ def correct(
     return replace(estimate, seconds={**estimate.seconds, "smooth": smooth_s})
 
 
-def mount_in_flight(flight: Flight, settings: OdometrySettings) -> Array:
+def mount_in_flight(flight: Flight, settings: OdometrySettings, on_step: OnStep | None) -> Array:
     """The mount ``(4, 4)`` that an odometry with these settings ends with; the stated one if it estimates none."""
     odometry = make_odometry(settings, flight.T_drone_sensor, flight.imu, flight.images)
-    run(flight, odometry)
+    run(flight, odometry, on_step)
     return odometry.T_drone_sensor

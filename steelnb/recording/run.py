@@ -4,6 +4,7 @@ pictures."""
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from itertools import count
 from pathlib import Path
 
 import numpy as np
@@ -157,9 +158,13 @@ def correct_recording(
 ) -> Corrected:
     """Run the odometry on a flight near the origin, and reconstruct the bars with its poses."""
 
+    passes = 2 if own is None and settings.corrects_twice else 1
+    done = count(1)
+
     def observe(k: int, scan: Scan, step: OdometryStep) -> None:
-        on_progress((k + 1) / len(flight))
-        if k + 1 == len(flight) and settings.smooth:
+        share = next(done) / (passes * len(flight))
+        on_progress(share)
+        if share == 1 and settings.smooth:
             on_stage("adjusting all poses and bars together")
 
     on_stage("warming up, which compiles what was not compiled yet")
@@ -168,11 +173,11 @@ def correct_recording(
     found = odometry.correct(flight, settings, observe, own)
     on_stage("reconstructing the bars")
     structure = structure.replace(thickness=found.thickness or structure.thickness)
-    poses = found.corrected.T_world_drone
+    poses = found.sensor_poses(flight.T_drone_sensor)
     points, bar = np.zeros((0, 3)), np.zeros(0, dtype=np.int64)
     try:
-        built = reconstruct(flight.scans, poses, flight.T_drone_sensor, structure)
-        mapped = MappedScans.mapped(flight.scans, poses @ flight.T_drone_sensor, structure)
+        built = reconstruct(flight.scans, poses, settings=structure)
+        mapped = MappedScans.mapped(flight.scans, poses, structure)
     except InputError as fault:  # no return above the floor; huge extents
         built, mapped = Structure.empty(str(fault)), None
     segments = found.segments if len(found.segments) else built.segments

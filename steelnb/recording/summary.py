@@ -86,7 +86,7 @@ def mount_lines(numbers: dict[str, float]) -> list[str]:
     lines = [_mount_line(numbers), f"          {cost}"]
     if worst:
         said = ", ".join(f"{axis}, {open_mm[axis]:.0f} mm" for axis in worst)
-        lines.append(f"          left open: {said}; a flight around the structure, at other headings, shows more")
+        lines.append(f"          left open: {said}: measure it, or fly around the structure, at many headings")
     return lines
 
 

@@ -55,6 +55,11 @@ class OdometrySettings(Settings):
             raise ValueError("mount: only smoothing estimates it; expected smooth = true, or no standard deviations")
         return self
 
+    @property
+    def corrects_twice(self) -> bool:
+        """Whether a flight is corrected once to find the mount, and then by this mount, before it is smoothed."""
+        return self.smooth and bool(self.mount.sigma[:6].any())
+
     @staticmethod
     def preset(
         method: str = "best", sensor: str | Path = "starling2", overrides: dict[str, Any] | None = None

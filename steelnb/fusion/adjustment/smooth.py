@@ -262,13 +262,13 @@ BARS_MIN = 3
 """Minimum number of bars with a section."""
 
 
-def found_mount(mount: Mount, covariance: Array | None) -> MountEstimate:
-    """The estimate of a mount, given the ``covariance`` of its free unknowns."""
+def found_mount(mount: Mount, covariance: Array | None, T_world_sensor: Array) -> MountEstimate:
+    """The estimate of a mount, given the ``covariance`` of its free unknowns, and ``T_world_sensor (K, 4, 4)``."""
     full = None
     if covariance is not None:
         full = np.zeros((MOUNT_DOF, MOUNT_DOF))
         full[np.ix_(mount.free, mount.free)] = covariance
-    return MountEstimate(mount.T_drone_sensor, mount.late_s, mount.error, full)
+    return MountEstimate(mount.T_drone_sensor, mount.late_s, mount.error, full, T_world_sensor)
 
 
 def smooth(
@@ -351,6 +351,6 @@ def smooth(
     return replace(
         estimate, corrected=Trajectory(stamp_s, poses @ np.linalg.inv(of_poses)), points=scans.voxels.means(),
         segments=bars.segments, unsmoothed="", pose_covariance=pose_covariance, axis_covariance=axis_covariance,
-        unsure=unsure, thickness=state.bars.thickness, mount=found_mount(mount, mount_covariance) if mount else None,
+        unsure=unsure, thickness=state.bars.thickness, mount=found_mount(mount, mount_covariance, T) if mount else None,
         mount_cost=cost,
     )  # fmt: skip
