@@ -3,11 +3,12 @@
     PYTHONPATH=. .venv/bin/python benchmarks/report.py [--parts ours start] [--figures 3.2 3.3 3.5 3.6]
 
 `ours` prints the errors of `best`, `faces` and `smoothed` on the flights of the report's plots, with the driver's half
-pixel in the points and without it. `start` prints how well the time that a slow program took for a sample agrees with
+pixel in the points, also with a mount that is said to be unknown, and without it. `start` prints how well the time that a slow program took for a sample agrees with
 the number of points in view, by the seconds of rest before the flight. The report's programs are notebooks 02 and 03.
 With STEELNB_CACHE set to a folder, flights and estimates are kept between calls."""
 
 import argparse
+from typing import Any
 
 import numpy as np
 
@@ -20,6 +21,13 @@ from steelnb.settings import ExperimentSettings, read_report_plots
 from steelnb.settings.report_plots import STEP_S
 
 OURS = ("best", "faces", "smoothed")
+UNKNOWN: dict[str, Any] = {"mount.rotation_sigma_deg": 2.0, "mount.translation_sigma_m": 0.03}
+HALVES: tuple[tuple[str, str, dict[str, Any]], ...] = (
+    ("with", "corner", {}),
+    ("with, mount unknown", "corner", UNKNOWN),
+    ("without", "centre", {}),
+)
+"""Name, `TofSettings.pixel_origin`, and what our methods are told of the mount, which the half pixel turns."""
 REST_S = np.arange(0.0, 15.1, 0.5)
 """Seconds of rest that `start` tries."""
 
@@ -27,18 +35,20 @@ REST_S = np.arange(0.0, 15.1, 0.5)
 def ours(figure: str) -> None:
     """Print the errors of our methods on the flights of a figure, with every scan of the sensor from the start."""
     for plot in (plot for plot in read_report_plots() if plot.figure == figure and plot.method in ("average", "icp")):
-        for origin in ("corner", "centre"):
+        for half, origin, mount in HALVES:
             every = {"tof.samples": (), "tof.pixel_origin": origin}
             given = (plot.figure, plot.trajectory, plot.method)
             errors = []
             for method in OURS:
-                settings = ExperimentSettings.report(*given, method, every)
+                if mount and method == "best":  # does not estimate it
+                    errors.append(np.full(1, np.nan))
+                    continue
+                settings = ExperimentSettings.report(*given, method, every | mount)
                 flight, truth = experiment.simulate(settings)
                 found = experiment.estimate(settings, flight, truth)
                 errors.append(position_error_m(found.corrected, truth.trajectory))
             raw = position_error_m(flight.prior, truth.trajectory)
             told = (f"{1e3 * np.sqrt((e**2).mean()):.1f} / {1e3 * e.max():.0f}" for e in (raw, *errors))
-            half = "with" if origin == "corner" else "without"
             print(f"| {plot.figure} {plot.trajectory}, {plot.noise} | {half} | {' | '.join(told)} |", flush=True)
 
 

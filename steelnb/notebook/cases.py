@@ -267,7 +267,7 @@ def accuracy(study_folder: str, method: Some[str], noise: Some[str]) -> None:
 
 
 def honest_sensors(
-    trajectory: Ours, seed: SeedOrReport, duration_s: Duration, study_folder: str
+    trajectory: Ours, seed: SeedOrReport, duration_s: Duration, study_folder: str, mount_rows: str, mount_belief: str
 ) -> dict[str, ExperimentSettings]:
     """One flight with each fault of a sensor, by the name of the fault, and one without any."""
     exact = {"tof.sigma_floor_m": 0.0, "tof.sigma_relative": 0.0}
