@@ -3,9 +3,10 @@
     PYTHONPATH=. .venv/bin/python benchmarks/report.py [--parts ours start] [--figures 3.2 3.3 3.5 3.6]
 
 `ours` prints the errors of `best`, `faces` and `smoothed` on the flights of the report's plots, with the driver's half
-pixel in the points, also with a mount that is said to be unknown, and without it. `start` prints how well the time that a slow program took for a sample agrees with
-the number of points in view, by the seconds of rest before the flight. The report's programs are notebooks 02 and 03.
-With STEELNB_CACHE set to a folder, flights and estimates are kept between calls."""
+pixel in the points, also with a mount that is said to be unknown, and without it. `start` prints how well the time that
+a slow program took for a sample agrees with the number of points in view, by the seconds of rest before the flight. The
+report's programs are notebooks 02 and 03. With STEELNB_CACHE set to a folder, flights and estimates are kept between
+calls."""
 
 import argparse
 from typing import Any

@@ -8,17 +8,17 @@ import pandas as pd
 import pytest
 from scipy.spatial.transform import Rotation
 
-from steelnb import experiment
+from steelnb import experiment, odometry
 from steelnb.core.errors import InputError
-from steelnb.core.estimates import OdometryStep
+from steelnb.core.estimates import MountEstimate, OdometryStep
 from steelnb.core.open3d import import_open3d
 from steelnb.core.types import Flight, Scan, Trajectory
 from steelnb.io import read_flight, read_trajectory, read_truth, write_flight, write_tum
 from steelnb.io.clouds import read_points
-from steelnb.recording.evaluate import TIMES, at_scans, truth_of
+from steelnb.recording.evaluate import TIMES, at_scans, mount_numbers, truth_of
 from steelnb.recording.run import FILES, run_recording
 from steelnb.recording.settings import Scene, recording_settings
-from steelnb.recording.summary import opened_lines
+from steelnb.recording.summary import mount_lines, opened_lines
 from steelnb.settings import ExperimentSettings, RecordingOptions
 from tests.io.samples import POINTS, Bagged, poses
 
@@ -218,3 +218,36 @@ def test_a_truth_of_another_time_is_refused_if_it_was_named(tmp_path):
     assert len(truth_of(flight, path, RecordingOptions())) == 5
     write_tum(tmp_path / "right.tum", prior)
     assert len(truth_of(flight, path, RecordingOptions(truth=str(tmp_path / "right.tum")))) == 5
+
+
+def test_a_mount_that_is_not_known_is_estimated_and_used(simulated, undrawn, tmp_path):
+    _, flight, truth = simulated
+    sigmas = {"smooth": True, "mount.rotation_sigma_deg": 1.0, "mount.time_sigma_s": 0.02}
+    settings = recording_settings(overrides=sigmas)
+    shares = []
+    report = run_recording(replace(flight, facts={"mount": ""}), tmp_path, *settings, truth.trajectory, shares.append)
+    assert shares[len(flight) - 1] == 0.5  # two passes
+    assert shares[-1] == 1
+    assert any(line.startswith("mount     turned by") for line in report.summary)
+    found, by = odometry.correct(flight, settings[0].odometry), np.array([1.0, 2.0, 3.0])
+    mount = found.mount
+    assert np.abs(mount.step[:3]).max() < np.radians(3)
+    np.testing.assert_array_equal(mount.step[3:6], 0)
+    np.testing.assert_array_equal(np.diag(mount.covariance) > 0, [1, 1, 1, 0, 0, 0, 1])
+    moved = found.moved(by, flight.prior.moved(by)).sensor_poses(flight.T_drone_sensor)
+    np.testing.assert_allclose(moved[:, :3, 3] - mount.T_world_sensor[:, :3, 3], np.tile(by, (len(flight), 1)))
+
+
+def test_the_summary_says_what_a_mount_costs_what_it_is_and_what_stays_open():
+    costs = {f"mount_cost_{axis}_deg_m": 0.01 * k for k, axis in enumerate(("roll", "pitch", "yaw"), 1)}
+    costs |= {f"mount_cost_{axis}_cm_m": 0.001 * k for k, axis in enumerate("xyz", 1)}
+    (line,) = mount_lines(costs)
+    assert "1° of roll, pitch, yaw moves poses by 10, 20, 30 mm, 1 cm of x, y, z by 1, 2, 3 mm" in line
+    covariance = np.diag(np.square([*np.radians([0.1, 0.2, 0.8]), 0.002, 0.003, 0.004, 0.0005]))
+    step = np.array([*np.radians([0.5, -1.0, 2.0]), 0.01, -0.02, 0.03, 0.02])
+    found = mount_numbers(MountEstimate(np.eye(4), 0.02, step, covariance, np.zeros((0, 4, 4))))
+    said, _, left = mount_lines(costs | found)
+    assert "turned by (0.50, -1.00, 2.00)° ± (0.10, 0.20, 0.80)°, moved by (10, -20, 30) mm ± (2, 3, 4) mm" in said
+    assert "stamps 0.0200 ± 0.0005 s late" in said
+    assert "left open: yaw, 24 mm:" in left
+    assert mount_lines({}) == []
