@@ -47,7 +47,7 @@ class Case(NamedTuple):
     late_s: float = 0.0
     known: MountSettings = MountSettings(rotation_sigma_deg=2.0, translation_sigma_m=0.03)
     vio: bool = False
-    seeds: int = 2
+    seeds: int = 1
     drawn: bool = False
     flights: tuple[TrajectoryName, ...] = BOTH
 
@@ -56,21 +56,20 @@ SMALL = MountSettings(rotation_sigma_deg=0.5, translation_sigma_m=0.005)
 LATE = MountSettings(time_sigma_s=0.05)
 ALL = (0.7, -1.0, 1.0, 0.015, 0.015, 0.0)
 CASES = {
-    "all six": Case(ALL),
+    "all six": Case(ALL, seeds=2),
     "drawn": Case(drawn=True, seeds=5),
     "all six, orbit and vertical": Case(ALL, flights=("orbit", "vertical")),
     "104 ms late": Case(late_s=0.104, known=LATE),
-    "all six, VIO": Case(ALL, vio=True),
-    "none, 0.5° and 5 mm allowed": Case(known=SMALL),
-    "none": Case(),
-    "none, VIO": Case(vio=True),
+    "none": Case(seeds=2),
     "1.5° yaw and pitch": Case((0.0, 1.5, 1.5, 0.0, 0.0, 0.0)),
-    "48 ms late": Case(late_s=0.048, known=LATE),
+    "all six, VIO": Case(ALL, vio=True),
+    "none, 0.5° and 5 mm allowed": Case(known=SMALL, seeds=2),
     "0.5° yaw and pitch": Case((0.0, 0.5, 0.5, 0.0, 0.0, 0.0)),
     "3° yaw and pitch": Case((0.0, 3.0, 3.0, 0.0, 0.0, 0.0)),
     "2 cm forward and left": Case((0.0, 0.0, 0.0, 0.02, 0.02, 0.0)),
+    "48 ms late": Case(late_s=0.048, known=LATE),
+    "none, VIO": Case(vio=True),
     "24 ms late": Case(late_s=0.024, known=LATE),
-    "0.5° yaw and pitch, VIO": Case((0.0, 0.5, 0.5, 0.0, 0.0, 0.0), vio=True),
     "2° yaw and pitch, VIO": Case((0.0, 2.0, 2.0, 0.0, 0.0, 0.0), vio=True),
 }  # fmt: skip
 
