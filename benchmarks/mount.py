@@ -137,7 +137,7 @@ def row(name: str, trajectory: TrajectoryName, seed: int) -> dict[str, Any]:
     middle = time.process_time()
     found = correct(flight, told)
     end = time.process_time()
-    online = correct(flight, told.override({"smooth": False})) if seed == SEED and name == "all six" else None
+    online = run(flight, make_odometry(told, flight.T_drone_sensor)) if seed == SEED and name == "all six" else None
     sigma, stamp_s = case.known.sigma, flight.prior.stamp_s
     drift = DRIFT_SIGMA * [YAW_KNOWN, 1, 1, 1]
     if case.vio:
@@ -186,7 +186,8 @@ def belief(trajectory: TrajectoryName) -> pd.DataFrame:
     each change; in the last ones, those of smoothing, with standard deviations. ``true``: the error that it has."""
     case, rows = CASES["all six"], list[Array]()
     flight, _, s, T_true = flown(case, trajectory, SEED)
-    told = s.odometry.override({f"mount.{key}": value for key, value in case.known.model_dump().items()})
+    known = {f"mount.{key}": value for key, value in case.known.model_dump().items()}
+    told = s.odometry.override(known | {"smooth": True})
     odometry, unit = make_odometry(told, flight.T_drone_sensor), np.repeat([180 / np.pi, 1e3], 3)
 
     def step(T: Array) -> Array:
@@ -199,7 +200,7 @@ def belief(trajectory: TrajectoryName) -> pd.DataFrame:
             rows.append(found)
 
     run(flight, odometry, note)
-    mount = correct(flight, told.override({"smooth": True})).mount
+    mount = correct(flight, told).mount
     assert mount is not None
     assert mount.covariance is not None
     rows.append(np.append(flight.prior.stamp_s[-1], unit * mount.step[:6]))

@@ -103,6 +103,7 @@ BAD = (
     (["run", "a.mcap", "--mount-sigma=-1,0.01", "--smooth"], "mount_sigma"),
     (["run", "a.mcap", "--mount-sigma", "11,0.01", "--smooth"], "expected at most 10°; state the mount instead"),
     (["run", "a.mcap", "--mount-sigma", "1,0.01"], "mount: only smoothing estimates it"),
+    (["run", "a.mcap", "--odometry", "faces", "--clock-sigma", "0.02"], "mount: only smoothing estimates it"),
     (["run", "a.mcap", "--range", "-1"], "range = -1.0"),
     (["run", "a.mcap", "--poses", "/nothing"], "no topic '/nothing' of poses"),
     (["run", "a.mcap", "--clock", "sun"], "clock = 'sun'"),

@@ -104,8 +104,8 @@ class Estimate:
     direction of each segment of a smoothed flight.
     ``unsure``: why a smoothed flight has no covariances, else empty. ``thickness`` of angle sections, a share of
     their flanges, as estimated by smoothing, else None. ``mount``: as estimated by smoothing, None if it is known.
-    ``mount_cost (6,)``: by how much the positions of a smoothed flight would be wrong if its mount were, root mean
-    square, metres per radian about each axis of the drone and per metre along it, else None.
+    ``mount_cost (6,)``: how far a wrong mount would move the positions of a smoothed flight, root mean square, metres
+    per radian about each axis of the drone and per metre along it, else None.
     """
 
     prior: Trajectory

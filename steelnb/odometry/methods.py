@@ -54,8 +54,9 @@ def correct(
     """Correct a flight with the method of the settings, scan by scan.
 
     With ``smooth``, all poses and bars are then adjusted together (`fusion.adjustment.smooth`). Smoothing time is
-    divided evenly over the scans. If the mount is not known, the flight is corrected twice before: some degrees off, an
-    odometry loses itself, or its map is turned while the mount is found. ``on_step`` and ``before`` as for `run`.
+    divided evenly over the scans. If the mount is unknown, the flight is corrected twice before that: with a mount that
+    is some degrees off, an odometry gets lost, or its map turns while the mount is being found. ``on_step`` and
+    ``before`` as for `run`.
     ``own`` is a class that replaces the odometry of the settings (`load_odometry`). Raises `InputError` as `run` does.
 
     Poses far from zero, such as in UTM, are moved near it for the work (`Flight.origin`), and results back."""

@@ -51,7 +51,7 @@ class OdometrySettings(Settings):
 
     @model_validator(mode="after")
     def _estimates_its_mount(self) -> Self:
-        if self.mount != MountSettings() and not self.smooth and self.family != "faces":
+        if self.mount != MountSettings() and not self.smooth:
             raise ValueError("mount: only smoothing estimates it; expected smooth = true, or no standard deviations")
         return self
 

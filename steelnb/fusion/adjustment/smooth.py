@@ -154,10 +154,10 @@ def marginals(problem: Problem, equations: PointEquations, prior: Array, stamp_s
 
 
 def mount_cost(problem: Problem, equations: PointEquations, flight: Flight, T_drone_sensor: Array) -> Array:
-    """By how much the positions of the drone would be wrong ``(6,)``, a root mean square over the scans, if the mount
-    were: metres per radian about each axis of the drone, and per metre along it.
+    """How far a wrong mount would move the positions of the drone ``(6,)``, a root mean square over the scans: metres
+    per radian about each axis of the drone, and per metre along it.
 
-    That is how the solution of the equations of an adjustment moves with the mount they take for known.
+    This is the derivative of the solution of an adjustment by a mount that it assumes to be known.
     """
     free = np.append(np.ones(6), 0.0)
     mount = replace(problem.mount, sigma=free) if problem.mount else Mount.started(flight, free, T_drone_sensor)
